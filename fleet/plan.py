@@ -1,0 +1,135 @@
+"""What are a step and a plan, and how do they read as text?
+
+Values only: a plan can be compared, printed (``--dry``) or applied (`fleet.rollout`). Nothing here touches the world.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from typing import Literal
+
+Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bytes:
+    """Bytes that a step feeds to its command, held in memory: small things only."""
+
+    label: str
+    data: bytes
+
+    @property
+    def size(self) -> int:
+        """Bytes that will be sent."""
+        return len(self.data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageArchive:
+    """A local image, fed to a command as the archive that ``docker save`` makes; never held whole.
+
+    ``size`` is Docker's figure of the image in bytes: an estimate of the archive, good enough to show progress.
+    """
+
+    reference: str
+    size: int
+
+    @property
+    def label(self) -> str:
+        """What a person calls these bytes."""
+        return f"image {self.reference}"
+
+
+Feed = Bytes | ImageArchive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One command on one robot.
+
+    ``limit`` is in seconds; the command is ended on the robot when it passes. ``None`` trusts the link's own liveness,
+    for commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without
+    surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login).
+    """
+
+    title: str
+    argv: tuple[str, ...]
+    feed: Feed | None = None
+    expect: str | None = None
+    cure: str = ""
+    limit: float | None = 60.0
+    fresh_login: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What will be done to one robot.
+
+    ``explain`` runs when a step fails, and what it prints is added to the reason (a container's last log lines).
+    ``recover`` runs after that and brings back what ran before. A plan without steps leaves the robot as it is, and
+    ``summary`` says why; otherwise ``summary`` says what the robot will have become.
+    """
+
+    robot: str
+    summary: str
+    steps: tuple[Step, ...] = ()
+    explain: tuple[Step, ...] = ()
+    recover: tuple[Step, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Bytes that will be sent to the robot."""
+        return sum(step.feed.size for step in self.steps if step.feed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed."""
+
+    robot: str
+    status: Status
+    summary: str = ""
+    step: str = ""
+    reason: str = ""
+    cure: str = ""
+    seconds: float = 0.0
+    sent: int = 0
+
+    @property
+    def good(self) -> bool:
+        """Whether the robot is as the person asked."""
+        return self.status in ("done", "unchanged")
+
+
+def exit_code(outcomes: tuple[Outcome, ...]) -> int:
+    """0 when every robot is as asked, else 1."""
+    return 0 if all(outcome.good for outcome in outcomes) else 1
+
+
+def human_bytes(count: float) -> str:
+    """A number of bytes as people say it, in decimal units: ``242 MB``."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.0f} {unit}" if count >= 10 or unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
+def human_seconds(seconds: float) -> str:
+    """A span as people say it: ``8 s``, ``3 min``, ``5 h``, ``2 d``."""
+    for unit, length in (("d", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def lines(plan: Plan) -> list[str]:
+    """The plan as the text that ``--dry`` prints: a heading, then each command as one could type it on the robot."""
+    text = [f"{plan.robot}: {plan.summary}"]
+    for number, step in enumerate(plan.steps, start=1):
+        fed = f"   # < {step.feed.label}, {human_bytes(step.feed.size)}" if step.feed else ""
+        text += [f"  {number}. {step.title}", f"     $ {shlex.join(step.argv)}{fed}"]
+    for step in plan.recover:
+        text += [f"  if a step fails: {step.title}", f"     $ {shlex.join(step.argv)}"]
+    return text
