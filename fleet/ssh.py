@@ -26,8 +26,8 @@ from fleet.exchange import Exchange
 from fleet.hostkeys import HostKey, KnownHosts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
     import socket
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
     from types import TracebackType
 
