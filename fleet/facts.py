@@ -1,0 +1,210 @@
+"""What does the robot have now? The probe that asks in one round trip, and the value its answer becomes.
+
+The probe is a POSIX shell script that looks and never touches. It answers in sections, each opened by a line
+``MARK name``; whatever a login script prints before the first one is noticed (it would corrupt streams) and left out.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Literal
+
+MARK = "=fleet="
+
+Sudo = Literal["root", "free", "password", "none"]
+Engine = Literal["ready", "absent", "stopped", "forbidden"]
+
+IDENTITY = (
+    "{{.Os}}/{{.Architecture}}{{println}}{{range .RootFS.Layers}}layer {{println .}}{{end}}"
+    "{{with .Config}}{{range .Env}}env {{println .}}{{end}}{{range .Entrypoint}}entrypoint {{println .}}{{end}}"
+    "{{range .Cmd}}cmd {{println .}}{{end}}user {{println .User}}directory {{println .WorkingDir}}{{end}}"
+)
+"""What makes two images the same on any engine and store, as a ``docker image inspect --format`` template.
+
+An image's ID differs between Docker's classic and containerd stores (moby #48401); these lines do not.
+"""
+
+PROBE = r"""
+section() { printf '\n%s %s\n' '=fleet=' "$1"; }
+section machine; uname -m
+section userland; dpkg --print-architecture 2>/dev/null || getconf LONG_BIT 2>/dev/null
+section os; . /etc/os-release 2>/dev/null; printf '%s\n' "${PRETTY_NAME:-unknown}"
+section login; id -un; id -Gn
+section sudo; if [ "$(id -u)" = 0 ]; then echo root; elif ! command -v sudo >/dev/null; then echo none
+  elif sudo -n true 2>/dev/null; then echo free; else echo password; fi
+section clock; date +%s
+section disk; df -Pk /var/lib/docker 2>/dev/null || df -Pk /var/lib
+section temperature; cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
+section emulates; grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
+section boot; systemctl is-enabled docker 2>/dev/null
+section daemon; cat /etc/docker/daemon.json 2>/dev/null
+section group; getent group docker
+section current; readlink "$HOME/.fleet/current" 2>/dev/null
+section releases; ls -1 "$HOME/.fleet/releases" 2>/dev/null
+section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
+section docker
+if command -v docker >/dev/null; then
+  docker version --format '{{.Server.Version}}' 2>&1
+  section store; docker info --format '{{.Driver}}' 2>/dev/null
+  section compose; docker compose version --short 2>/dev/null
+  section containers; docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
+  section images
+  docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
+    printf 'image %s\n' "$name"; docker image inspect --format 'IDENTITY' "$name" 2>/dev/null; done
+fi
+section end
+""".replace("IDENTITY", IDENTITY)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Container:
+    """One container of a release. ``status`` is Docker's own sentence (``Up 3 minutes (healthy)``)."""
+
+    name: str
+    service: str
+    release: str
+    state: str
+    status: str
+
+    @property
+    def healthy(self) -> bool:
+        """Running, and not said to be unhealthy or still starting."""
+        return self.state == "running" and "(unhealthy)" not in self.status and "(health:" not in self.status
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What one probe saw. Sizes are in bytes, the clock in seconds since the epoch, the temperature in °C.
+
+    ``images`` maps the name of each image that fleet sent to its identity lines (see `IDENTITY`).
+    """
+
+    machine: str = ""
+    userland: str = ""
+    os: str = ""
+    login: str = ""
+    groups: tuple[str, ...] = ()
+    sudo: Sudo = "none"
+    clock: float = 0.0
+    disk_size: int = 0
+    disk_free: int = 0
+    temperature: float | None = None
+    emulates: tuple[str, ...] = ()
+    starts_at_boot: bool = False
+    daemon_config: str = ""
+    docker_group: tuple[str, ...] | None = None
+    current: str = ""
+    releases: tuple[str, ...] = ()
+    history: tuple[str, ...] = ()
+    engine: Engine = "absent"
+    docker: str = ""
+    store: str = ""
+    compose: str = ""
+    containers: tuple[Container, ...] = ()
+    images: dict[str, str] = field(default_factory=dict)
+    noise: str = ""
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Platforms whose containers run here: the userland's own first, then those that are emulated."""
+        own = _PLATFORMS.get(self.userland) or _PLATFORMS.get(self.machine, "")
+        return tuple(
+            dict.fromkeys(filter(None, (own, *(_EMULATORS.get(name, "") for name in self.emulates))))
+        )
+
+
+_PLATFORMS = {
+    "arm64": "linux/arm64",
+    "aarch64": "linux/arm64",
+    "armhf": "linux/arm/v7",
+    "armv7l": "linux/arm/v7",
+    "amd64": "linux/amd64",
+    "x86_64": "linux/amd64",
+}
+_EMULATORS = {"qemu-aarch64": "linux/arm64", "qemu-arm": "linux/arm/v7", "qemu-x86_64": "linux/amd64"}
+
+
+def parse(text: str) -> Facts:
+    """Read the probe's answer. Sections that are missing or empty leave their facts at the defaults."""
+    noise, *parts = text.split(f"\n{MARK} ")
+    said = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
+    login, *groups = said.get("login", "").splitlines() or [""]
+    engine, version = _engine(said.get("docker", ""))
+    size, free = _disk(said.get("disk", ""))
+    temperature = said.get("temperature", "")
+    return Facts(
+        machine=said.get("machine", ""),
+        userland=said.get("userland", ""),
+        os=said.get("os", ""),
+        login=login,
+        groups=tuple(" ".join(groups).split()),
+        sudo=_sudo(said.get("sudo", "")),
+        clock=float(said.get("clock") or 0),
+        disk_size=size,
+        disk_free=free,
+        temperature=int(temperature) / 1000 if temperature.lstrip("-").isdigit() else None,
+        emulates=tuple(path.rpartition("/")[2] for path in said.get("emulates", "").split()),
+        starts_at_boot=said.get("boot", "") == "enabled",
+        daemon_config=said.get("daemon", ""),
+        docker_group=_members(said.get("group", "")),
+        current=said.get("current", "").rpartition("/")[2],
+        releases=tuple(said.get("releases", "").split()),
+        history=tuple(said.get("history", "").splitlines()),
+        engine=engine,
+        docker=version,
+        store=said.get("store", ""),
+        compose=said.get("compose", "").lstrip("v"),
+        containers=tuple(_container(line) for line in said.get("containers", "").splitlines()),
+        images=_images(said.get("images", "")),
+        noise=noise.strip(),
+    )
+
+
+def _engine(said: str) -> tuple[Engine, str]:
+    if not said:
+        return "absent", ""
+    if "permission denied" in said.lower():
+        return "forbidden", ""
+    last = said.splitlines()[-1]
+    return ("ready", last) if last[:1].isdigit() else ("stopped", "")
+
+
+def _sudo(said: str) -> Sudo:
+    match said:
+        case "root" | "free" | "password":
+            return said
+        case _:
+            return "none"
+
+
+def _disk(said: str) -> tuple[int, int]:
+    """``df -Pk``: a heading, then one line of POSIX columns in KiB."""
+    columns = said.splitlines()[-1].split() if said else []
+    return (
+        (int(columns[1]) * 1024, int(columns[3]) * 1024)
+        if len(columns) > 3 and columns[3].isdigit()
+        else (0, 0)
+    )
+
+
+def _members(said: str) -> tuple[str, ...] | None:
+    """A line of ``getent group``: ``docker:x:996:pi,tim``; None where there is no such group."""
+    return tuple(filter(None, said.split(":")[3].split(","))) if said.count(":") == 3 else None
+
+
+def _container(line: str) -> Container:
+    said = json.loads(line)
+    labels = dict(pair.partition("=")[::2] for pair in said["Labels"].split(","))
+    return Container(
+        name=said["Names"],
+        service=labels.get("com.docker.compose.service", ""),
+        release=labels.get("fleet.release", ""),
+        state=said["State"],
+        status=said["Status"],
+    )
+
+
+def _images(said: str) -> dict[str, str]:
+    blocks = (block.partition("\n") for block in f"\n{said}".split("\nimage ")[1:])
+    return {name: identity.strip() for name, _, identity in blocks}
