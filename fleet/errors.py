@@ -13,6 +13,7 @@
         ├── Unreachable        no SSH connection: name, route, port, timeout
         ├── UntrustedHostKey   the host key is unknown, changed or revoked
         ├── LoginRefused       the robot answered, and does not let this login in
+        ├── NotReady           the robot lacks what this verb needs: Docker, space, the right architecture
         ├── LinkLost           the connection died under a command
         ├── TimedOut           a command took longer than it may
         ├── CommandFailed      a command ended with another exit code than 0
@@ -79,6 +80,10 @@ class UntrustedHostKey(RobotError):
 
 class LoginRefused(RobotError):
     """The robot's sshd answered and refused every credential."""
+
+
+class NotReady(RobotError):
+    """The robot lacks what this verb needs; nothing was changed."""
 
 
 class LinkLost(RobotError):

@@ -63,6 +63,15 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Record:
+    """What the robot's history will say of a plan: which verb, to which release, by whom (``tim@desktop``)."""
+
+    verb: str
+    release: str
+    by: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What will be done to one robot.
 
@@ -76,6 +85,7 @@ class Plan:
     steps: tuple[Step, ...] = ()
     explain: tuple[Step, ...] = ()
     recover: tuple[Step, ...] = ()
+    record: Record | None = None
 
     @property
     def size(self) -> int:
@@ -128,8 +138,14 @@ def lines(plan: Plan) -> list[str]:
     """The plan as the text that ``--dry`` prints: a heading, then each command as one could type it on the robot."""
     text = [f"{plan.robot}: {plan.summary}"]
     for number, step in enumerate(plan.steps, start=1):
-        fed = f"   # < {step.feed.label}, {human_bytes(step.feed.size)}" if step.feed else ""
-        text += [f"  {number}. {step.title}", f"     $ {shlex.join(step.argv)}{fed}"]
-    for step in plan.recover:
-        text += [f"  if a step fails: {step.title}", f"     $ {shlex.join(step.argv)}"]
+        text += [f"  {number}. {step.title}", _command(step)]
+    for step in (*plan.explain, *plan.recover):
+        text += [f"  if a step fails: {step.title}", _command(step)]
+    if plan.record and plan.steps:
+        text += ["  at the end: one line into ~/.fleet/history"]
     return text
+
+
+def _command(step: Step) -> str:
+    fed = f"   # reads {step.feed.label}, {human_bytes(step.feed.size)}" if step.feed else ""
+    return f"     $ {shlex.join(step.argv)}{fed}"

@@ -1,0 +1,119 @@
+"""Where does fleet keep things on a robot, and which commands use them?
+
+Plain files in the login's ``~/.fleet/``, readable and usable by hand::
+
+    releases/<id>/   compose.yaml  compose.override.yaml  .env  files/    `docker compose up -d` works in it
+    current          -> releases/<id>
+    history          one line per ship, start, stop, rollback: when, what, release, by whom, what came of it
+
+Every command starts in the login's home directory, so paths are relative to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fleet.plan import Bytes, Record, Step
+
+if TYPE_CHECKING:
+    from fleet.inventory import Robot
+    from fleet.release import Release
+
+HOME = ".fleet"
+
+_OURS = ("COMPOSE_FILE", "COMPOSE_PROJECT_NAME", "ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
+"""Variables that a robot's own login environment must not override: for Compose, it comes before ``.env``."""
+
+_UNPACK = (
+    'rm -rf "$1.part" && mkdir -p "$1.part" && tar -x -f - -C "$1.part" && rm -rf "$1" && mv "$1.part" "$1"'
+)
+_SWITCH = 'ln -sfn "releases/$1" .fleet/current.new && mv -fT .fleet/current.new .fleet/current'
+_NOTE = 'mkdir -p .fleet && printf "%s\\n" "$1" >> .fleet/history'
+
+
+def folder(release: str) -> str:
+    """The directory of a release."""
+    return f"{HOME}/releases/{release}"
+
+
+def compose(robot: Robot, release: str, *arguments: str) -> tuple[str, ...]:
+    """The argv of ``docker compose`` in the directory of a release."""
+    unset = (part for name in (*_OURS, *sorted(robot.environment)) for part in ("-u", name))
+    return ("env", "-C", folder(release), *unset, "docker", "compose", *arguments)
+
+
+def write(release: Release) -> Step:
+    """Write the directory of a release, whole or not at all."""
+    return Step(
+        title=f"write release {release.id} to ~/{folder(release.id)}",
+        argv=("sh", "-c", _UNPACK, "sh", folder(release.id)),
+        feed=Bytes(label=f"{len(release.files)} files", data=release.archive()),
+    )
+
+
+def up(robot: Robot, release: str, *, wait: int) -> Step:
+    """Start a release's containers, or bring them to what it says, and wait until they are healthy (seconds)."""
+    flags = (
+        "--detach",
+        "--wait",
+        "--wait-timeout",
+        str(wait),
+        "--no-build",
+        "--pull",
+        "never",
+        "--remove-orphans",
+    )
+    return Step(
+        title=f"start release {release}, at most {wait} s until healthy",
+        argv=compose(robot, release, "up", *flags),
+        limit=wait + 60.0,
+    )
+
+
+def stop(robot: Robot, release: str) -> Step:
+    """Stop a release's containers; they stay stopped over a reboot."""
+    return Step(title=f"stop release {release}", argv=compose(robot, release, "stop"), limit=90.0)
+
+
+def switch(release: str) -> Step:
+    """Make a release the current one; `current` is never missing in between."""
+    return Step(title=f"make {release} the current release", argv=("sh", "-c", _SWITCH, "sh", release))
+
+
+def last_words(robot: Robot, release: str) -> Step:
+    """The last log lines of a release's containers."""
+    return Step(
+        title="show the last log lines",
+        argv=compose(robot, release, "logs", "--no-color", "--tail", "8"),
+        limit=20.0,
+    )
+
+
+def note(record: Record, *, when: str, what_came: str) -> Step:
+    """One line of history; ``when`` is in ISO 8601."""
+    line = Event(when=when, verb=record.verb, release=record.release, by=record.by, outcome=what_came)
+    return Step(title="note it in the history", argv=("sh", "-c", _NOTE, "sh", str(line)), limit=20.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """One line of a robot's history, its fields separated by tabs."""
+
+    when: str
+    verb: str
+    release: str
+    by: str
+    outcome: str
+
+    def __str__(self) -> str:
+        fields = (self.when, self.verb, self.release, self.by, self.outcome)
+        return "\t".join(" ".join(value.split()) for value in fields)
+
+
+def history(lines: tuple[str, ...]) -> tuple[Event, ...]:
+    """The events of a robot's history, oldest first; lines that are none (cut by a full disk) are passed over."""
+    fields = (line.split("\t") for line in lines)
+    return tuple(
+        Event(when=f[0], verb=f[1], release=f[2], by=f[3], outcome=f[4]) for f in fields if len(f) == 5
+    )

@@ -1,0 +1,172 @@
+"""Which steps bring a robot to a release? Shipping a new one, and going back to an earlier one.
+
+The order is that of a safe swap: everything that can fail without touching what runs comes first (the release's files,
+the robot's own Compose reading them, the images and their proof); then the containers; then ``current``. When the
+containers of a new release do not start, those of the previous one are started again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fleet import layout
+from fleet.errors import NotReady
+from fleet.facts import IDENTITY
+from fleet.plan import ImageArchive, Plan, Record, Step, human_bytes
+
+if TYPE_CHECKING:
+    from fleet.facts import Facts
+    from fleet.image import Image
+    from fleet.inventory import Robot
+    from fleet.release import Release
+
+HEALTHY_WITHIN = 120
+"""Seconds a release has to become healthy: an emulated or a cold Pi needs 20 to 60."""
+
+ROOM = 2.2
+"""Free space needed per byte of image: ``docker load`` stages the archive and then unpacks it, and both are on disk."""
+
+
+def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
+    """The steps from what the robot has (``facts``) to ``release``; none where it already runs it.
+
+    Raises:
+        NotReady: the robot cannot take it: no usable Docker, another architecture, not enough space.
+
+    """
+    ready(facts, robot=robot)
+    missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
+    if facts.current == release.id and not missing and _runs(release, facts):
+        return Plan(robot=robot.name, summary=f"unchanged, runs release {release.id}")
+    _room(missing, facts=facts)
+    size = human_bytes(sum(image.size for image in missing))
+    sends = f"sends {len(missing)} image{'s'[: len(missing) > 1]} ({size})" if missing else "has the images"
+    steps = (
+        layout.write(release),
+        _check(robot, release.id),
+        *(step for image in missing for step in (_load(image), _prove(image))),
+        layout.up(robot, release.id, wait=HEALTHY_WITHIN),
+        layout.switch(release.id),
+    )
+    return Plan(
+        robot=robot.name,
+        summary=f"release {release.id}, {sends}",
+        steps=steps,
+        explain=(layout.last_words(robot, release.id),),
+        recover=_previous(robot, facts, failed=release.id),
+        record=Record(verb="ship", release=release.id, by=by),
+    )
+
+
+def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
+    """The steps back to release ``to``, or to the one that ran before the current one where ``to`` is empty.
+
+    Raises:
+        NotReady: there is no such release on the robot.
+
+    """
+    ready(facts, robot=robot)
+    target = to or _before(facts)
+    if not target:
+        raise NotReady(
+            "there is no earlier release to go back to", cure=f"`fab history --hosts {robot.name}`"
+        )
+    if target not in facts.releases:
+        cure = f"it has: {', '.join(facts.releases) or 'none'}"
+        raise NotReady(f"release {target} is not on this robot", cure=cure)
+    if target == facts.current and all(c.healthy and c.release == target for c in facts.containers):
+        return Plan(robot=robot.name, summary=f"unchanged, runs release {target}")
+    return Plan(
+        robot=robot.name,
+        summary=f"back to release {target}",
+        steps=(_check(robot, target), layout.up(robot, target, wait=HEALTHY_WITHIN), layout.switch(target)),
+        explain=(layout.last_words(robot, target),),
+        recover=_previous(robot, facts, failed=target),
+        record=Record(verb="rollback", release=target, by=by),
+    )
+
+
+def ready(facts: Facts, *, robot: Robot) -> None:
+    """Let a robot pass that can run containers of its platform.
+
+    Raises:
+        NotReady: with what is missing and its cure.
+
+    """
+    provision = f"`fab provision --hosts {robot.name}`"
+    problems = {
+        "absent": ("Docker is not installed", provision),
+        "stopped": (
+            "Docker is installed and not running",
+            f"{provision}, or see `journalctl -u docker` there",
+        ),
+        "forbidden": (
+            f"{facts.login} may not use Docker",
+            f"{provision} puts the login into the docker group",
+        ),
+    }
+    if problem := problems.get(facts.engine):
+        raise NotReady(problem[0], cure=problem[1])
+    if not facts.compose:
+        raise NotReady("Docker's Compose plugin is missing", cure=provision)
+    if robot.platform not in facts.platforms:
+        runs = " and ".join(facts.platforms) or facts.machine
+        raise NotReady(
+            f"it runs {runs}, and the inventory says {robot.platform}",
+            cure=f"set `platform: {facts.platforms[0]}` for {robot.name}" if facts.platforms else "",
+        )
+
+
+def _runs(release: Release, facts: Facts) -> bool:
+    healthy = {c.service for c in facts.containers if c.release == release.id and c.healthy}
+    return healthy >= set(release.services)
+
+
+def _room(missing: tuple[Image, ...], *, facts: Facts) -> None:
+    needed = ROOM * sum(image.size for image in missing)
+    if needed > facts.disk_free:
+        raise NotReady(
+            f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk_free)}",
+            cure="`docker system df` on the robot shows what Docker uses; `docker image prune` frees the unused",
+        )
+
+
+def _check(robot: Robot, release: str) -> Step:
+    return Step(
+        title="let the robot's Compose check the release",
+        argv=layout.compose(robot, release, "config", "--quiet"),
+        limit=30.0,
+        cure="mend the Compose file or the robot's values in the inventory",
+    )
+
+
+def _load(image: Image) -> Step:
+    return Step(
+        title=f"load {image.shipped_as}",
+        argv=("docker", "load", "--quiet"),
+        feed=ImageArchive(reference=image.shipped_as, size=image.size),
+        limit=None,
+    )
+
+
+def _prove(image: Image) -> Step:
+    """`docker load` is not believed: a containerd store says ``Loaded image`` of a broken one."""
+    return Step(
+        title="prove that what arrived is what was sent",
+        argv=("docker", "image", "inspect", "--format", IDENTITY, image.shipped_as),
+        expect=image.identity,
+        cure="run the same command again",
+    )
+
+
+def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
+    """Start again what ran before; where nothing did, stop what failed rather than let it restart for ever."""
+    if facts.current == failed or facts.current not in facts.releases:
+        return (layout.stop(robot, failed),)
+    return (layout.up(robot, facts.current, wait=HEALTHY_WITHIN),)
+
+
+def _before(facts: Facts) -> str:
+    """The release that ran before the current one, as the history tells; "" where it tells none that is still there."""
+    ran = (event.release for event in reversed(layout.history(facts.history)) if event.outcome == "done")
+    return next((release for release in ran if release != facts.current and release in facts.releases), "")
