@@ -1,0 +1,1 @@
+"""What the talker says, apart from how ROS carries it."""
