@@ -86,10 +86,8 @@ def read_stack(path: Path) -> Stack:
         ComposeError: it is missing, not YAML, or a service has neither a fixed image nor a name to build one under.
 
     """
-    text = yamlfile.text(path, error=ComposeError, cure="`stack:` in the inventory names the Compose file")
-    document, problems = yamlfile.parse(text, path=path, error=ComposeError)
-    if problems:
-        raise ComposeError("\n".join(problems))
+    cure = "`stack:` in the inventory names the Compose file"
+    document = yamlfile.read(path, error=ComposeError, cure=cure)
     services = document.value.get("services")
     if not isinstance(services, dict) or not services:
         raise ComposeError(
@@ -103,6 +101,7 @@ def read_stack(path: Path) -> Stack:
         images[name] = _image_name(said.get("image"), where=where)
         if build := said.get("build"):
             builds[name] = _build(build, folder=path.parent, where=where)
+    text = yamlfile.text(path, error=ComposeError)
     return Stack(name=_name(document.value.get("name"), path), text=text, images=images, builds=builds)
 
 

@@ -1,0 +1,119 @@
+"""Which images does a stack need, and how are they made for the robots' platforms?
+
+Images are built with BuildKit by the docker command line, so that the person's builder, cache and credentials count,
+one platform at a time and tagged for it (`fleet.image.tagged_for`). A service without ``build:`` is pulled.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fleet.debian import Base
+from fleet.emulation import desktop_platform
+from fleet.errors import ComposeError, DesktopError
+from fleet.image import tagged_for
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from fleet.release import Build, Stack
+
+_DEBIAN = re.compile(
+    r"^\s*ARG\s+(\w+)=[\"']?(?:docker\.io/library/)?debian:(\w+)-slim[\"']?\s*$", re.MULTILINE
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One command on this computer, what it makes (``reference`` for ``platform``), and the bases it needs first."""
+
+    title: str
+    argv: tuple[str, ...]
+    reference: str
+    platform: str
+    bases: tuple[Base, ...] = ()
+
+
+def plan(*, stack: Stack, platforms: Iterable[str], client: Sequence[str]) -> tuple[Command, ...]:
+    """The commands that make every image of the stack for every platform; ``client`` is the argv of a BuildKit client.
+
+    Raises:
+        ComposeError: a Dockerfile is missing.
+
+    """
+    commands: list[Command] = []
+    for platform in dict.fromkeys(platforms):
+        for service, image in stack.images.items():
+            reference = tagged_for(image, platform)
+            if any(command.reference == reference for command in commands):
+                continue
+            build = stack.builds.get(service)
+            new = _build(build, reference, platform, client) if build else _pull(image, reference, platform)
+            commands += new
+    return tuple(commands)
+
+
+def run(command: Command) -> None:
+    """Run one of them; what it says goes to standard error as it comes.
+
+    Raises:
+        DesktopError: it failed.
+
+    """
+    code = subprocess.run(command.argv, stdin=subprocess.DEVNULL, stdout=2, check=False).returncode
+    if code:
+        raise DesktopError(
+            f"{command.title} failed with code {code}", cure="the reason is in the lines above"
+        )
+
+
+def _build(build: Build, reference: str, platform: str, client: Sequence[str]) -> list[Command]:
+    bases = _bases(build, platform)
+    arguments = [*build.arguments, *((name, base.tag) for name, base in bases.items())]
+    options = [part for name, value in arguments for part in ("--build-arg", f"{name}={value}")]
+    if build.target:
+        options += ["--target", build.target]
+    where = ("--file", str(build.dockerfile), str(build.context))
+    return [
+        Command(
+            title=f"build {reference} for {platform}",
+            argv=(*client, "build", "--platform", platform, "--tag", reference, *options, *where),
+            reference=reference,
+            platform=platform,
+            bases=tuple(bases.values()),
+        )
+    ]
+
+
+def _bases(build: Build, platform: str) -> dict[str, Base]:
+    """The Dockerfile's ``ARG NAME=debian:SUITE-slim`` lines: bases that can be had without a registry too.
+
+    Names that begin with BUILD are for the computer that builds, the others for the robot.
+    """
+    given = dict(build.arguments)
+    return {
+        name: Base(suite=suite, platform=desktop_platform() if name.startswith("BUILD") else platform)
+        for name, suite in _DEBIAN.findall(_text(build.dockerfile))
+        if name not in given
+    }
+
+
+def _text(dockerfile: Path) -> str:
+    try:
+        return dockerfile.read_text(encoding="utf-8")
+    except OSError as problem:
+        cure = "`build:` in the Compose file says where it is"
+        raise ComposeError(f"cannot read {dockerfile}: {problem.strerror}", cure=cure) from problem
+
+
+def _pull(image: str, reference: str, platform: str) -> list[Command]:
+    pull = ("docker", "pull", "--platform", platform, image)
+    tag = ("docker", "tag", image, reference)
+    return [
+        Command(title=f"pull {image} for {platform}", argv=pull, reference=reference, platform=platform),
+        Command(title=f"name it {reference}", argv=tag, reference=reference, platform=platform),
+    ]
