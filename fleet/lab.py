@@ -56,7 +56,7 @@ def up(
         _authorise(pi, key=key)
     for pi in on:
         _await_ssh(pi, key=key)
-    _write_inventory(pis, directory=directory, platform=platform, recipe=recipe)
+    write_inventory(pis, directory=directory, platform=platform, recipe=recipe)
     say(f"{len(on)} virtual Pi{'s' * (len(on) != 1)} up: {', '.join(f'{pi.name} {pi.address}' for pi in on)}")
 
 
@@ -109,17 +109,19 @@ def _check_engine() -> None:
     endpoint = os.environ.get("DOCKER_HOST") or docker(
         "context", "inspect", "--format", "{{.Endpoints.docker.Host}}"
     )
+    if not endpoint.startswith("unix://"):
+        raise _out_of_reach(f"another computer's ({endpoint})")
     said = docker("info", "--format", "{{.OperatingSystem}} {{json .SecurityOptions}}")
-    kinds = (
-        ("a remote computer's", not endpoint.startswith("unix://")),
-        ("Docker Desktop's", "Docker Desktop" in said),
-        ("a rootless one", "name=rootless" in said),
+    for sign, whose in (("Docker Desktop", "Docker Desktop's"), ("name=rootless", "a rootless one")):
+        if sign in said:
+            raise _out_of_reach(whose)
+
+
+def _out_of_reach(whose: str) -> DesktopError:
+    return DesktopError(
+        f"this computer cannot reach virtual Pis by address, because the Docker Engine in use is {whose}",
+        cure="use a Docker Engine of this computer's own: docker/desktop.sh installs one",
     )
-    if kind := next((kind for kind, is_so in kinds if is_so), None):
-        raise DesktopError(
-            f"this computer cannot reach virtual Pis by address, because the Docker Engine in use is {kind}",
-            cure="use a Docker Engine of this computer's own: docker/desktop.sh installs one",
-        )
 
 
 def _arm_runs() -> bool:
@@ -222,7 +224,8 @@ def _await_ssh(pi: VirtualPi, *, key: Path) -> None:
         time.sleep(0.3)
 
 
-def _write_inventory(pis: tuple[VirtualPi, ...], *, directory: Path, platform: str, recipe: Path) -> None:
+def write_inventory(pis: tuple[VirtualPi, ...], *, directory: Path, platform: str, recipe: Path) -> None:
+    """List the Pis in ``directory``, as an inventory the project's own can include."""
     script = os.path.relpath(recipe / "get-docker.sh", directory)
     lines = (
         "# Written by `fab lab.up`, removed by `fab lab.down`. Paths are relative to this file.",
