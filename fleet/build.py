@@ -11,13 +11,14 @@ import subprocess
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fleet import debian
 from fleet.debian import Base
 from fleet.emulation import desktop_platform
 from fleet.errors import ComposeError, DesktopError
 from fleet.image import tagged_for
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from fleet.release import Build, Stack
@@ -57,13 +58,16 @@ def plan(*, stack: Stack, platforms: Iterable[str], client: Sequence[str]) -> tu
     return tuple(commands)
 
 
-def run(command: Command) -> None:
-    """Run one of them; what it says goes to standard error as it comes.
+def run(command: Command, *, say: Callable[[str], None]) -> None:
+    """Run one of them, its bases first; what it says goes to standard error as it comes.
 
     Raises:
         DesktopError: it failed.
 
     """
+    for base in command.bases:
+        debian.ensure(base.suite, base.platform, say=say)
+    say(command.title)
     code = subprocess.run(command.argv, stdin=subprocess.DEVNULL, stdout=2, check=False).returncode
     if code:
         raise DesktopError(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 import sys
 import threading
 from collections import Counter
@@ -14,19 +15,29 @@ from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
 from rich.live import Live
-from rich.progress import BarColumn, DownloadColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn, TransferSpeedColumn
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
-from fleet.plan import human_bytes, human_seconds, lines
+from fleet.plan import exit_code, human_bytes, human_seconds, lines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
 
     from rich.progress import TaskID
 
+    from fleet.build import Command
+    from fleet.image import Image
     from fleet.plan import Outcome, Plan
 
 _MARKS = {
@@ -69,6 +80,24 @@ class Screen:
             for number, text in enumerate(lines(plan)):
                 self.out.print(Text(text, style="bold" if number == 0 else ""), soft_wrap=True)
 
+    def commands(self, commands: Iterable[Command], *, json: bool) -> None:
+        """The commands on this computer that ``--dry`` would run."""
+        if json:
+            self.json(list(commands))
+            return
+        for command in commands:
+            self.line(f"{command.title}\n  $ {shlex.join(command.argv)}")
+
+    def images(self, images: Iterable[Image], *, json: bool) -> None:
+        """Local images: name, platform and size."""
+        if json:
+            self.json(list(images))
+        else:
+            columns = ("image", "platform", "size")
+            self.table(
+                columns, [((i.reference, ""), (i.platform, ""), (human_bytes(i.size), "")) for i in images]
+            )
+
     def outcomes(self, outcomes: Sequence[Outcome]) -> None:
         """A line per robot, its reason and cure below where it has one, and the sum."""
         width = max((len(outcome.robot) for outcome in outcomes), default=0)
@@ -81,24 +110,43 @@ class Screen:
             self.out.print(text, soft_wrap=True)
             for detail in _details(outcome):
                 self.out.print(Text(f"{'':{width}}  {detail}"), soft_wrap=True)
-        counted = Counter(outcome.status for outcome in outcomes)
+        counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
+
+    def problems(self, outcomes: Sequence[Outcome]) -> int:
+        """Show the robots that failed, on standard error, and return the exit code. Ctrl-C is how a person stops."""
+        bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
+        for outcome in bad:
+            for text in (f"{outcome.robot}: {_told(outcome)}", *_details(outcome)):
+                self.err.print(Text(text), soft_wrap=True)
+        return exit_code(tuple(bad))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:
         """A table of cells, each a text and a style."""
         self.out.print(_table(columns, rows))
 
-    def live(
-        self,
-        columns: Sequence[str],
-        rows: Callable[[], list[Sequence[tuple[str, str]]]],
-        wait: Callable[[], None],
-    ) -> None:
-        """A table that is drawn again and again until Ctrl-C; ``wait`` passes the time in between."""
-        with Live(_table(columns, rows()), console=self.out, screen=False, auto_refresh=False) as live:
-            while True:
-                wait()
-                live.update(_table(columns, rows()), refresh=True)
+    def live(self, columns: Sequence[str], rows: Callable[[], Sequence[Sequence[tuple[str, str]]]]) -> Live:
+        """A table that draws itself again every half second, for as long as the ``with`` around it lasts."""
+        return Live(get_renderable=lambda: _table(columns, rows()), console=self.out, refresh_per_second=2)
+
+    def records(self, records: Mapping[str, Mapping[str, object]]) -> None:
+        """Names with their values below, nested ones by a dotted key."""
+        for name, values in records.items():
+            self.out.print(Text(name, style="bold"))
+            for key, value in _flat(values):
+                self.out.print(Text(f"  {key:24} {value}"), soft_wrap=True)
+
+    def confirm(self, question: str) -> bool:
+        """Ask a person; nobody there is a no."""
+        return sys.stdin.isatty() and self.err.input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+    def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
+        """Show what became of the robots, and return the exit code."""
+        if json:
+            self.json(outcomes)
+        else:
+            self.outcomes(outcomes)
+        return exit_code(tuple(outcomes))
 
     def prefixed(self, names: Sequence[str]) -> Callable[[str, str], None]:
         """A printer of lines with a coloured name before each, safe to call from many threads."""
@@ -108,13 +156,28 @@ class Screen:
 
         def printer(name: str, text: str) -> None:
             with lock:
-                self.out.print(Text.assemble((f"{name:{width}} | ", styles[name]), text), soft_wrap=True)
+                self.out.print(
+                    Text.assemble((f"{name:{width}} | ", styles[name]), Text.from_ansi(text)), soft_wrap=True
+                )
 
         return printer
 
     def progress(self) -> Show:
         """Live progress on a terminal, a line per step where there is none."""
         return Bars(self.err) if self.err.is_terminal else Lines(self)
+
+
+class Silence:
+    """Progress that nobody is shown: what a verb prints tells enough."""
+
+    def began(self, robot: str, title: str, size: int | None) -> None:
+        """See `fleet.rollout.Watch`."""
+
+    def sent(self, robot: str, count: int) -> None:
+        """See `fleet.rollout.Watch`."""
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `fleet.rollout.Watch`."""
 
 
 class Lines:
@@ -216,6 +279,14 @@ def _details(outcome: Outcome) -> list[str]:
         return []
     details = [f"  | {line}" for line in outcome.reason.splitlines()[1:]]
     return [*details, f"  cure: {outcome.cure}"] if outcome.cure else details
+
+
+def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
 
 
 def _plain(value: object) -> object:

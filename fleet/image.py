@@ -10,16 +10,20 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from fleet.errors import DesktopError, ImageError
+from fleet.plan import ImageArchive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from types import ModuleType
 
     import docker
+
+    from fleet.plan import Feed
 
 CHUNK = 1 << 20
 
@@ -85,6 +89,8 @@ class Store:
                 f"Docker on this computer does not answer: {problem}", cure="see `docker info`"
             ) from problem
         self._errors = docker.errors
+        # A classic store stages every archive on this disk first: more at once would only fill it.
+        self._turns = threading.BoundedSemaphore(8)
 
     def __enter__(self) -> Self:
         return self
@@ -116,19 +122,23 @@ class Store:
             wrong or f"there is no image {reference} for {platform} here", cure="run `fab build`"
         )
 
-    def name_for_shipping(self, image: Image) -> None:
-        """Give the image its shipping name here too, so that the archive carries it."""
-        self._client.images.get(image.reference).tag(image.shipped_as)
+    def open(self, feed: Feed) -> Iterable[bytes]:
+        """The bytes of a step's feed: an image's archive comes out of the engine as it is read."""
+        return self.archive(feed.image, feed.reference) if isinstance(feed, ImageArchive) else (feed.data,)
 
-    def archive(self, reference: str) -> Iterator[bytes]:
-        """The image as ``docker save`` writes it, in pieces of at most 1 MiB.
+    def archive(self, local: str, reference: str) -> Iterator[bytes]:
+        """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.
 
         Raises:
             DesktopError: the engine fails on the way.
 
         """
         try:
-            yield from self._client.api.get_image(reference, chunk_size=CHUNK)
+            with self._turns:
+                self._client.images.get(local).tag(
+                    reference
+                )  # an archive carries the name it is asked for by
+                yield from self._client.api.get_image(reference, chunk_size=CHUNK)
         except (self._errors.DockerException, OSError) as problem:
             raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
 

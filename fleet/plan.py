@@ -29,9 +29,10 @@ class Bytes:
 class ImageArchive:
     """A local image, fed to a command as the archive that ``docker save`` makes; never held whole.
 
-    ``size`` is Docker's figure of the image in bytes: an estimate of the archive, good enough to show progress.
+    ``image`` is its name here, ``reference`` the one it gets on the robot. ``size`` is Docker's figure of the image in bytes: an estimate of the archive, good enough to show progress.
     """
 
+    image: str
     reference: str
     size: int
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fleet import ros, yamlfile
-from fleet.errors import ComposeError
+from fleet.errors import ComposeError, InventoryError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -61,7 +61,6 @@ class Release:
     robot: str
     services: tuple[str, ...]
     images: tuple[Image, ...]
-    environment: Mapping[str, str]
     files: Mapping[str, bytes]
 
     def archive(self) -> bytes:
@@ -105,40 +104,44 @@ def read_stack(path: Path) -> Stack:
     return Stack(name=_name(document.value.get("name"), path), text=text, images=images, builds=builds)
 
 
-def compose(
-    *, robot: Robot, stack: Stack, images: Mapping[str, Image], read: Callable[[Path], bytes]
-) -> Release:
-    """One robot's release; ``images`` maps each service to its image, ``read`` gives the bytes of a file.
+def compose(*, robot: Robot, stack: Stack, find: Callable[[str, str], Image]) -> Release:
+    """One robot's release; ``find`` gives the local image of a name and a platform.
 
     Raises:
-        Whatever ``read`` raises.
+        ImageError: from ``find``.
+        InventoryError: a file to bind-mount cannot be read.
 
     """
-    environment = dict(sorted({**robot.environment, **ros.environment(robot)}.items()))
-    environment["FLEET_ROBOT"] = robot.name
-    files = {f"files/{name}": read(path) for name, path in robot.files.items()}
+    environment = {**robot.environment, **ros.environment(robot), "FLEET_ROBOT": robot.name}
+    images = {service: find(name, robot.platform) for service, name in stack.images.items()}
+    files = {f"files/{name}": _read(path) for name, path in robot.files.items()}
+    texts = {"compose.yaml": stack.text, ".env": dotenv(dict(sorted(environment.items())))}
     content = {
-        "compose": stack.text,
         "name": stack.name,
-        "environment": environment,
+        "texts": texts,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
         "images": {service: image.fingerprint for service, image in images.items()},
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    texts = {
-        "compose.yaml": stack.text,
-        "compose.override.yaml": _override(stack=stack, images=images, labels=_labels(digest, stack, robot)),
-        ".env": dotenv(environment),
-    }
+    labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot.name}
+    texts["compose.override.yaml"] = _override(stack=stack, images=images, labels=labels)
     return Release(
         id=digest,
         stack=stack.name,
         robot=robot.name,
         services=tuple(images),
         images=tuple({image.shipped_as: image for image in images.values()}.values()),
-        environment=environment,
         files={**files, **{name: text.encode() for name, text in texts.items()}},
     )
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise InventoryError(
+            f"cannot read {path}: {problem.strerror}", cure="see `files:` in the inventory"
+        ) from problem
 
 
 def dotenv(environment: Mapping[str, str]) -> str:
@@ -163,10 +166,6 @@ def _override(*, stack: Stack, images: Mapping[str, Image], labels: Mapping[str,
     """The pins of a release. JSON is YAML, and quotes itself."""
     services = {name: {"image": image.shipped_as, "labels": labels} for name, image in images.items()}
     return json.dumps({"name": stack.name, "services": services}, indent=2) + "\n"
-
-
-def _labels(release: str, stack: Stack, robot: Robot) -> dict[str, str]:
-    return {"fleet.release": release, "fleet.stack": stack.name, "fleet.robot": robot.name}
 
 
 def _image_name(said: object, *, where: str) -> str:

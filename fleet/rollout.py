@@ -46,16 +46,16 @@ class Line:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self._session: ssh.Session | None = None
-        self._closed = False
+        self.closed = threading.Event()
 
     @property
     def session(self) -> ssh.Session:
         """The connection. Raises what `fleet.ssh.connect` raises."""
-        if self._closed:
+        if self.closed.is_set():
             raise LinkLost("interrupted by Ctrl-C")
         if self._session is None:
             self._session = ssh.connect(self.robot)
-            if self._closed:  # Ctrl-C came while it connected
+            if self.closed.is_set():  # Ctrl-C came while it connected
                 self._session.close()
         return self._session
 
@@ -67,7 +67,7 @@ class Line:
 
     def close(self) -> None:
         """Close for good; whatever runs on it ends at once."""
-        self._closed = True
+        self.closed.set()
         if self._session:
             self._session.close()
 

@@ -144,7 +144,7 @@ def _load(image: Image) -> Step:
     return Step(
         title=f"load {image.shipped_as}",
         argv=("docker", "load", "--quiet"),
-        feed=ImageArchive(reference=image.shipped_as, size=image.size),
+        feed=ImageArchive(image=image.reference, reference=image.shipped_as, size=image.size),
         limit=None,
     )
 

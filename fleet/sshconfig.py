@@ -46,15 +46,14 @@ def resolve(robot: Robot) -> Destination:
         Unreachable: OpenSSH refuses its own configuration.
 
     """
-    options: list[str] = []
-    if robot.user:
-        options += ["-l", robot.user]
-    if robot.port:
-        options += ["-p", str(robot.port)]
-    if robot.identity_file:
-        # IdentitiesOnly: a robot that is given a key is not offered every key of the agent (MaxAuthTries).
-        options += ["-i", str(robot.identity_file), "-o", "IdentitiesOnly=yes"]
-    return ask(tuple(options), robot.address)
+    return ask(_options(robot), robot.address)
+
+
+def login(robot: Robot) -> tuple[str, ...]:
+    """The argv of OpenSSH's own client for a robot, with the keys that `fab trust` recorded and no others asked for."""
+    known = " ".join(str(path) for path in (robot.known_hosts, *resolve(robot).known_hosts))
+    trusted = ("-o", f"UserKnownHostsFile={known}", "-o", "StrictHostKeyChecking=yes")
+    return ("ssh", *_options(robot), *trusted, "--", robot.address)
 
 
 def ask(options: tuple[str, ...], address: str) -> Destination:
@@ -71,6 +70,14 @@ def ask(options: tuple[str, ...], address: str) -> Destination:
         said = answer.stderr.strip().splitlines()[-1:] or ["no reason given"]
         raise Unreachable(f"OpenSSH's configuration is refused: {said[0]}", cure="mend ~/.ssh/config")
     return parse(answer.stdout)
+
+
+def _options(robot: Robot) -> tuple[str, ...]:
+    user = ("-l", robot.user) if robot.user else ()
+    port = ("-p", str(robot.port)) if robot.port else ()
+    # IdentitiesOnly: a robot that is given a key is not offered every key of the agent (MaxAuthTries).
+    key = ("-i", str(robot.identity_file), "-o", "IdentitiesOnly=yes") if robot.identity_file else ()
+    return (*user, *port, *key)
 
 
 def parse(text: str) -> Destination:
