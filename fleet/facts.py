@@ -38,7 +38,12 @@ section disk; df -Pk /var/lib/docker 2>/dev/null || df -Pk /var/lib
 section temperature; cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
 section emulates; grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
 section boot; systemctl is-enabled docker 2>/dev/null
-section daemon; cat /etc/docker/daemon.json 2>/dev/null
+section daemon; cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
+section packages; dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
+  docker-compose docker-compose-v2 2>/dev/null | sed -n 's/^ii *//p'
+section interrupted; ls /var/lib/dpkg/updates 2>/dev/null
+  grep -E '^Status: .* (half-configured|half-installed|unpacked)$' /var/lib/dpkg/status 2>/dev/null
+section source; ls /etc/apt/sources.list.d/docker.list 2>/dev/null
 section group; getent group docker
 section current; readlink "$HOME/.fleet/current" 2>/dev/null
 section releases; ls -1 "$HOME/.fleet/releases" 2>/dev/null
@@ -46,6 +51,7 @@ section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
 section docker
 if command -v docker >/dev/null; then
   docker version --format '{{.Server.Version}}' 2>&1
+  section client; docker --version 2>/dev/null
   section store; docker info --format '{{.Driver}}' 2>/dev/null
   section compose; docker compose version --short 2>/dev/null
   section containers; docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
@@ -77,7 +83,10 @@ class Container:
 class Facts:
     """What one probe saw. Sizes are in bytes, the clock in seconds since the epoch, the temperature in °C.
 
-    ``images`` maps the name of each image that fleet sent to its identity lines (see `IDENTITY`).
+    ``docker`` is the engine's version where this login may ask it, ``client`` that of the ``docker`` command. ``packages``
+    are the installed ones that provisioning must know of. ``interrupted``: dpkg was stopped in the middle of its work.
+    ``docker_source``: apt has the package source that Docker's script writes. ``images`` maps the name of each image that
+    fleet sent to its identity lines (see `IDENTITY`).
     """
 
     machine: str = ""
@@ -94,11 +103,15 @@ class Facts:
     starts_at_boot: bool = False
     daemon_config: str = ""
     docker_group: tuple[str, ...] | None = None
+    packages: tuple[str, ...] = ()
+    interrupted: bool = False
+    docker_source: bool = False
     current: str = ""
     releases: tuple[str, ...] = ()
     history: tuple[str, ...] = ()
     engine: Engine = "absent"
     docker: str = ""
+    client: str = ""
     store: str = ""
     compose: str = ""
     containers: tuple[Container, ...] = ()
@@ -109,6 +122,10 @@ class Facts:
     def platforms(self) -> tuple[str, ...]:
         """Platforms whose containers run here: the userland's own first, then those that are emulated."""
         own = _PLATFORMS.get(self.userland) or _PLATFORMS.get(self.machine, "")
+        if (
+            self.machine == "armv6l"
+        ):  # the first Pis and the Zero: their "armhf" is not what ARMv7 images need
+            own = ""
         return tuple(
             dict.fromkeys(filter(None, (own, *(_EMULATORS.get(name, "") for name in self.emulates))))
         )
@@ -148,11 +165,15 @@ def parse(text: str) -> Facts:
         starts_at_boot=said.get("boot", "") == "enabled",
         daemon_config=said.get("daemon", ""),
         docker_group=_members(said.get("group", "")),
+        packages=tuple(said.get("packages", "").split()),
+        interrupted=bool(said.get("interrupted", "")),
+        docker_source=bool(said.get("source", "")),
         current=said.get("current", "").rpartition("/")[2],
         releases=tuple(said.get("releases", "").split()),
         history=tuple(said.get("history", "").splitlines()),
         engine=engine,
         docker=version,
+        client=_client(said.get("client", "")),
         store=said.get("store", ""),
         compose=said.get("compose", "").lstrip("v"),
         containers=tuple(_container(line) for line in said.get("containers", "").splitlines()),
@@ -168,6 +189,11 @@ def _engine(said: str) -> tuple[Engine, str]:
         return "forbidden", ""
     last = said.splitlines()[-1]
     return ("ready", last) if last[:1].isdigit() else ("stopped", "")
+
+
+def _client(said: str) -> str:
+    """``Docker version 26.1.5+dfsg1, build a72d7cd`` -> ``26.1.5+dfsg1``."""
+    return said.removeprefix("Docker version ").partition(",")[0] if said.startswith("Docker version") else ""
 
 
 def _sudo(said: str) -> Sudo:
