@@ -134,7 +134,7 @@ def parse(source: str, *, path: Path, error: type[Mistake]) -> tuple[Document, t
         root = builder.entry(node, line=1) if node else None
     except yaml.reader.ReaderError as bad:
         line = source.count("\n", 0, bad.position) + 1
-        raise error(f"{path}:{line}: a character that YAML does not allow ({bad.character!r})") from None
+        raise error(f"{path}:{line}: a character that YAML does not allow (U+{bad.character:04X})") from None
     except yaml.MarkedYAMLError as bad:
         raise _syntax_error(bad, source=source, path=path, error=error) from None
     except RecursionError:
@@ -147,32 +147,37 @@ def parse(source: str, *, path: Path, error: type[Mistake]) -> tuple[Document, t
     return Document(path=path, root=root), tuple(builder.problems)
 
 
+# What PyYAML says, what it means, the cure.
 _MEANINGS = (
+    ("while scanning a quoted scalar", "the quote that opens here is never closed", ""),
+    ("while parsing a flow", "the bracket that opens here is never closed, or a comma is missing in it", ""),
+    ("while scanning a simple key", "this line has no `:`", "write `key: value`"),
     (
         "mapping values are not allowed",
         "a second `:` here, or the indentation is wrong",
         "quote text that holds `: `",
     ),
     ("expected a single document", "a second document (`---`) starts here", "keep one per file"),
-    ("while scanning a quoted scalar", "a quote is opened and never closed", ""),
-    ("while parsing a flow", "a bracket is opened and never closed, or a comma is missing", ""),
     ("while parsing a block", "this line is not indented like the ones it belongs to", ""),
-    ("while scanning a simple key", "this line has no `:`", "write `key: value`"),
-    ("could not find expected ':'", "this line has no `:`", "write `key: value`"),
     ("cannot start any token", "text cannot begin with this character", "put it in quotes"),
 )
+_OPENED = ("while scanning a quoted scalar", "while parsing a flow", "while scanning a simple key")
 
 
 def _syntax_error(bad: yaml.MarkedYAMLError, *, source: str, path: Path, error: type[Mistake]) -> Mistake:
-    mark = bad.problem_mark or bad.context_mark
-    line = mark.line if mark else 0
-    lines = source.splitlines()
-    indentation = lines[line][: len(lines[line]) - len(lines[line].lstrip())] if line < len(lines) else ""
-    if "\t" in indentation:
-        return error(f"{path}:{line + 1}: a tab in the indentation", cure="YAML wants spaces")
     said = f"{bad.context or ''} {bad.problem or ''}".strip()
+    end = bad.problem_mark or bad.context_mark
+    mark = bad.context_mark if said.startswith(_OPENED) else end
+    if end and _tab_indents(source[: end.index + 1]):
+        return error(f"{path}:{end.line + 1}: a tab in the indentation", cure="YAML wants spaces")
     what, cure = next(((what, cure) for key, what, cure in _MEANINGS if key in said), (said, ""))
-    return error(f"{path}:{line + 1}: not YAML: {what}", cure=cure)
+    return error(f"{path}:{mark.line + 1 if mark else 1}: not YAML: {what}", cure=cure)
+
+
+def _tab_indents(text: str) -> bool:
+    # Up to here there is nothing but white space on the line, and a tab in it.
+    line = text[text.rfind("\n") + 1 :]
+    return "\t" in line and not line.strip()
 
 
 _TAGS = "tag:yaml.org,2002:"
