@@ -45,11 +45,15 @@ def masters(robot: Robot) -> tuple[str, ...]:
 
     A robot's own master is at localhost for the robot, and at the robot's address for everybody else.
     """
-    shared = robot.ros.master
-    if shared != OWN and not is_loopback(urlsplit(shared).hostname or ""):
-        return (shared,)
-    port = MASTER_PORT if shared == OWN else urlsplit(shared).port or MASTER_PORT
+    if not has_own_master(robot):
+        return (robot.ros.master,)
+    port = MASTER_PORT if robot.ros.master == OWN else urlsplit(robot.ros.master).port or MASTER_PORT
     return tuple(f"http://{_in_uri(name)}:{port}" for name in own_names(robot))
+
+
+def has_own_master(robot: Robot) -> bool:
+    """Whether the robot runs a master of its own, rather than sharing one."""
+    return robot.ros.master == OWN or is_loopback(urlsplit(robot.ros.master).hostname or "")
 
 
 def is_loopback(host: str) -> bool:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import os
 import socket
 import struct
@@ -45,7 +46,7 @@ class NoConnection(GraphError):
 
     def __init__(self, host: str, port: int, reason: str) -> None:
         super().__init__(f"no connection to {host} port {port}: {reason}")
-        self.reason = reason
+        self.reason, self.refused = reason, reason == os.strerror(errno.ECONNREFUSED)
 
 
 class Silent(GraphError):
