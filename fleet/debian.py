@@ -146,6 +146,8 @@ def _bootstrap_command(base: Base, rootfs: Path) -> tuple[str, ...]:
             f"--architectures={base.architecture}",
         ),
         *_LEFT_OUT,
+        # Bookworm would merge /usr with a package that needs Perl: 45 MB, which no container reads.
+        "--hook-dir=/usr/share/mmdebstrap/hooks/maybe-merged-usr",
         # Those two are copies of the desktop's; Docker brings its own.
         '--customize-hook=rm -f "$1/etc/hostname" "$1/etc/resolv.conf"',
         *(suite, str(rootfs)),
