@@ -1,0 +1,92 @@
+# What a person types. `make` lists it.
+
+VENV := .venv
+PYTHON ?= python3
+FAB := $(VENV)/bin/fab
+PIS := pi1,pi2,pi3
+STEP = @printf '\n== %s\n'
+
+.DEFAULT_GOAL := help
+.PHONY: help demo undemo test test-unit test-lab lint format bench lock clean desktop env
+
+help: ## list what there is
+	@echo 'make WHAT, where WHAT is one of:'
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: desktop env ## three virtual Pis, from blank to talking; they are left running
+	$(STEP) 'Three virtual Pis (fab lab.up)'
+	@$(FAB) lab.up --count 3
+	$(STEP) 'Their host keys (fab trust)'
+	@$(FAB) trust --hosts $(PIS) --yes
+	$(STEP) 'Docker on each of them (fab provision)'
+	@$(FAB) provision --hosts $(PIS)
+	$(STEP) 'An image for their platform (fab build)'
+	@$(FAB) build --hosts $(PIS)
+	$(STEP) 'The image on each of them, started (fab ship)'
+	@$(FAB) ship --hosts $(PIS)
+	$(STEP) 'How they are (fab status)'
+	@$(FAB) status --hosts $(PIS)
+	$(STEP) 'What their programs print (fab logs)'
+	@$(FAB) logs --hosts $(PIS) --tail 3
+	$(STEP) 'What they publish on /time (fab listen)'
+	@$(FAB) listen --hosts $(PIS) --count 3
+	$(STEP) 'The fleet is running. What to try next:'
+	@echo '  source $(VENV)/bin/activate     so that `fab` is found'
+	@echo '  fab status --watch              a live table; Ctrl-C leaves it'
+	@echo '  fab logs --follow               all robots, as they speak'
+	@echo '  fab ship --dry                  what a ship would do, command by command'
+	@echo '  fab shell --hosts pi1           look around on one'
+	@echo '  fab --list                      all verbs'
+	@echo 'To remove the virtual Pis and all they hold: make undemo'
+
+undemo: env ## remove the virtual Pis of the demo, and nothing else
+	@$(FAB) lab.down
+
+test: desktop lint test-unit test-lab ## everything: lint, types, unit tests, then the tests on virtual Pis
+
+test-unit: env ## the tests that need no virtual Pi
+	$(STEP) 'Unit tests'
+	@$(VENV)/bin/pytest tests --ignore tests/lab
+
+test-lab: desktop env ## the tests on virtual Pis, in a lab of their own
+	$(STEP) 'Tests on virtual Pis'
+	@$(VENV)/bin/pytest tests/lab
+
+lint: env ## style and types
+	$(STEP) 'Style and types'
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+
+format: env ## put the code into the project's format
+	@$(VENV)/bin/ruff check --fix .
+	@$(VENV)/bin/ruff format .
+
+bench: desktop env ## measure what must be fast
+	@$(VENV)/bin/python tests/bench.py
+
+lock: ## choose new versions of all dependencies (needs uv)
+	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \
+		--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command 'make lock' \
+		--group dev pyproject.toml - --output-file requirements.lock
+
+clean: ## remove the demo, the Python environment and all caches
+	@if [ -x $(FAB) ]; then $(FAB) lab.down; fi
+	@rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+desktop: # Docker, emulation, tools: says what it installs, and nothing when all is there
+	@docker/desktop.sh
+
+env: $(VENV)/ready # the Python environment, as locked
+
+$(VENV)/ready: requirements.lock pyproject.toml
+	$(STEP) 'Python environment in $(VENV) (about a minute, once)'
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo 'This needs Python 3.11 or newer. Cure: make PYTHON=python3.12 ...'; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2> /dev/null \
+		|| { echo 'Python cannot make environments. Cure: docker/desktop.sh, or sudo apt-get install python3-venv'; exit 1; }
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(VENV)/bin/pip --disable-pip-version-check --quiet install --require-hashes -r requirements.lock
+	@$(VENV)/bin/pip --disable-pip-version-check --quiet install --no-deps --no-build-isolation --editable .
+	@touch $@
