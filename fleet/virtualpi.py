@@ -53,7 +53,8 @@ def run_command(pi: VirtualPi, *, image: str, network: str, labels: tuple[str, .
     It boots systemd and later runs a Docker Engine, so it may mount and set up networks, in namespaces of its own;
     it is not privileged: no devices, no kernel modules, not the desktop's clock. It is meant for images you trust.
     """
-    rights = ("SYS_ADMIN", "NET_ADMIN", "SYS_BOOT")
+    # SYS_PTRACE: `docker exec` and health checks join the namespaces of containers that run as another user.
+    rights = ("SYS_ADMIN", "NET_ADMIN", "SYS_BOOT", "SYS_PTRACE")
     confinement = ("seccomp=unconfined", "apparmor=unconfined", "systempaths=unconfined", "label=disable")
     return (
         *("run", "--detach", "--tty", "--name", pi.container, "--hostname", pi.name),
