@@ -30,9 +30,9 @@ def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
     running = [container for container in facts.containers if container.state == "running"]
     healthy = bool(running) and all(container.healthy for container in facts.containers)
     if verb == "start" and healthy:
-        return Plan(robot=robot.name, summary=f"unchanged, release {release} runs")
+        return Plan(robot=robot.name, summary=f"release {release} runs")
     if verb == "stop" and not running:
-        return Plan(robot=robot.name, summary=f"unchanged, release {release} is stopped")
+        return Plan(robot=robot.name, summary=f"release {release} is stopped")
     return Plan(
         robot=robot.name,
         summary=f"{verb} release {release}",

@@ -37,7 +37,7 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     ready(facts, robot=robot)
     missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
     if facts.current == release.id and not missing and _runs(release, facts):
-        return Plan(robot=robot.name, summary=f"unchanged, runs release {release.id}")
+        return Plan(robot=robot.name, summary=f"runs release {release.id}")
     _room(missing, facts=facts)
     size = human_bytes(sum(image.size for image in missing))
     sends = f"sends {len(missing)} image{'s'[: len(missing) > 1]} ({size})" if missing else "has the images"
@@ -75,7 +75,7 @@ def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
         cure = f"it has: {', '.join(facts.releases) or 'none'}"
         raise NotReady(f"release {target} is not on this robot", cure=cure)
     if target == facts.current and all(c.healthy and c.release == target for c in facts.containers):
-        return Plan(robot=robot.name, summary=f"unchanged, runs release {target}")
+        return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(
         robot=robot.name,
         summary=f"back to release {target}",
