@@ -16,6 +16,7 @@ if [ "$(release /etc/os-release)" != "$(release "$base/etc/os-release")" ]; then
 fi
 
 work=$(mktemp -d)
+touch "$work.began"
 mkdir -p "$work/lists/partial" "$work/archives/partial"
 cat > "$work/apt.conf" <<CONF
 APT::Architecture "$architecture";
@@ -51,3 +52,6 @@ rm -rf "$work" "$target/bin" "$target/sbin" "$target/lib"
 find "$target/usr/share/doc" -not -type d -not -name copyright -delete
 find "$target" -mindepth 1 -type d -empty -delete
 python3 -m compileall -q -j 0 -s "$target" -p / "$target"/usr/lib/python3*
+# What the packages do not date would be dated now, and make every build another layer.
+find "$target" -newer "$work.began" -exec touch --no-dereference --date=@0 {} +
+rm -f "$work.began"
