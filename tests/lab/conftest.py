@@ -1,0 +1,135 @@
+"""A lab of the tests' own: three virtual Pis, made once, removed at the end. Nobody else's is touched."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet import lab as labs
+from fleet.errors import FleetError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+HERE = Path(__file__).parent
+NAME = "fleettest"
+COUNT = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pi:
+    """One virtual Pi, with two ways in: as root through Docker, for breaking things, and as a person over SSH."""
+
+    name: str
+    address: str
+    container: str
+    key: Path
+
+    def exec(self, *argv: str, timeout: float = 120) -> str:
+        """Run as root, past SSH; the output. A command that fails fails the test with what it said."""
+        done = subprocess.run(
+            ("docker", "exec", self.container, *argv),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+        assert done.returncode == 0, f"{self.name}: {argv}: {done.stdout}{done.stderr}"
+        return done.stdout.strip()
+
+    def ssh(
+        self, command: str, *, stdin: bytes = b"", timeout: float = 300
+    ) -> subprocess.CompletedProcess[bytes]:
+        """Run as ``pi`` with OpenSSH's own client, whatever the exit code."""
+        options = (
+            "BatchMode=yes",
+            "StrictHostKeyChecking=no",
+            "UserKnownHostsFile=/dev/null",
+            "LogLevel=ERROR",
+        )
+        settings = (part for option in options for part in ("-o", option))
+        return subprocess.run(
+            ("ssh", "-F", "none", "-i", str(self.key), *settings, f"pi@{self.address}", command),
+            input=stdin,
+            capture_output=True,
+            timeout=timeout,
+            check=False,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lab:
+    """Virtual Pis and the inventory that lists them."""
+
+    name: str
+    directory: Path
+    pis: tuple[Pi, ...]
+
+    @property
+    def inventory(self) -> Path:
+        """The inventory that `lab.up` wrote."""
+        return self.directory / "inventory.yaml"
+
+
+def made(name: str, directory: Path, *, count: int) -> Lab:
+    """Start the Pis. What stands in the way is said in one sentence, and fails the tests that need them."""
+    try:
+        labs.up(count, directory=directory, name=name, say=print)
+    except FleetError as error:
+        pytest.fail(f"these tests need virtual Pis: {error}", pytrace=False)
+    pis = (
+        Pi(name=pi.name, address=pi.address, container=pi.container, key=directory / "id_ed25519")
+        for pi in labs.list_(name=name)
+    )
+    return Lab(name=name, directory=directory, pis=tuple(pis))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def only_one_session() -> Iterator[None]:
+    """Two runs on one desktop would share container names: the second waits for the first."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet"
+    cache.mkdir(parents=True, exist_ok=True)
+    with (cache / f"{NAME}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """Three blank Pis for the whole session. Whoever changes one puts it back, or takes ``own_lab``."""
+    directory = tmp_path_factory.mktemp(NAME)
+    labs.down(directory=directory, name=NAME, say=print)  # what a killed run left
+    yield made(NAME, directory, count=COUNT)
+    labs.down(directory=directory, name=NAME, say=print)
+
+
+@pytest.fixture
+def pi(lab: Lab) -> Pi:
+    """The first of the blank Pis."""
+    return lab.pis[0]
+
+
+@pytest.fixture
+def own_lab(tmp_path: Path) -> Iterator[Lab]:
+    """One blank Pi for one test, which may do to it what it likes."""
+    name = f"{NAME}-own"
+    labs.down(directory=tmp_path / "lab", name=name, say=print)
+    yield made(name, tmp_path / "lab", count=1)
+    labs.down(directory=tmp_path / "lab", name=name, say=print)
+
+
+# A fixture `provisioned` - the session's Pis with Docker on them - goes here: it takes `lab` and runs the verb once.
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of this folder, and run them last: what fails quickly should."""
+    for item in items:
+        if HERE in item.path.parents:
+            item.add_marker(pytest.mark.lab)
+    items.sort(key=lambda item: HERE in item.path.parents)
