@@ -22,12 +22,17 @@ if TYPE_CHECKING:
 
 HOME = ".fleet"
 
+PART = ".part"
+"""How the name of a release's directory ends while it is being written."""
+
 _OURS = ("COMPOSE_FILE", "COMPOSE_PROJECT_NAME", "ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
 """Variables that a robot's own login environment must not override: for Compose, it comes before ``.env``."""
 
-_UNPACK = (
-    'rm -rf "$1.part" && mkdir -p "$1.part" && tar -x -f - -C "$1.part" && rm -rf "$1" && mv "$1.part" "$1"'
-)
+_UNPACK = f"""set -e
+rm -rf "$1{PART}"; mkdir -p "$1{PART}"; tar -x -f - -C "$1{PART}"
+if diff -r "$1" "$1{PART}" > /dev/null 2>&1; then rm -rf "$1{PART}"; else rm -rf "$1"; mv "$1{PART}" "$1"; fi"""
+"""A directory that is right stays: containers that run have its files mounted, and would keep the removed ones."""
+
 _SWITCH = 'ln -sfn "releases/$1" .fleet/current.new && mv -fT .fleet/current.new .fleet/current'
 _NOTE = 'mkdir -p .fleet && printf "%s\\n" "$1" >> .fleet/history'
 
@@ -65,7 +70,7 @@ def up(robot: Robot, release: str, *, wait: int) -> Step:
         "--remove-orphans",
     )
     return Step(
-        title=f"start release {release}, at most {wait} s until healthy",
+        title=f"start release {release}",
         argv=compose(robot, release, "up", *flags),
         limit=wait + 60.0,
     )
@@ -85,7 +90,7 @@ def last_words(robot: Robot, release: str) -> Step:
     """The last log lines of a release's containers."""
     return Step(
         title="show the last log lines",
-        argv=compose(robot, release, "logs", "--no-color", "--tail", "8"),
+        argv=compose(robot, release, "logs", "--no-color", "--no-log-prefix", "--tail", "8"),
         limit=20.0,
     )
 

@@ -164,7 +164,9 @@ def _quoted(value: str) -> str:
 
 def _override(*, stack: Stack, images: Mapping[str, Image], labels: Mapping[str, str]) -> str:
     """The pins of a release. JSON is YAML, and quotes itself."""
-    services = {name: {"image": image.shipped_as, "labels": labels} for name, image in images.items()}
+    services = {
+        name: {"image": image.shipped_as, "platform": image.platform, "labels": labels} for name, image in images.items()
+    }
     return json.dumps({"name": stack.name, "services": services}, indent=2) + "\n"
 
 
