@@ -13,7 +13,7 @@ from fleet.errors import DesktopError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tests.lab.conftest import Lab, Pi
+    from lab.conftest import Lab, Pi
 
 GET_DOCKER = Path(__file__).parents[2] / "docker" / "lab" / "get-docker.sh"
 
