@@ -5,8 +5,6 @@ The only module that imports rich. Results go to standard output; progress and p
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import shlex
 import sys
 import threading
@@ -28,6 +26,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from fleet import jsontext
 from fleet.plan import exit_code, human_bytes, human_seconds, lines
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ class Screen:
 
     def json(self, value: object) -> None:
         """A value for programs, on standard output."""
-        sys.stdout.write(json.dumps(_plain(value), indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(jsontext.text(value) + "\n")
 
     def plans(self, plans: Iterable[Plan]) -> None:
         """What ``--dry`` shows."""
@@ -287,15 +286,3 @@ def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str,
             yield from _flat(value, f"{before}{key}.")
         else:
             yield f"{before}{key}", value
-
-
-def _plain(value: object) -> object:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, bytes):
-        return f"{len(value)} bytes"
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
