@@ -60,7 +60,10 @@ _CLOSED = Field(json_schema_extra={"additionalProperties": False})
 class Frozen(BaseModel):
     """A value that does not change and knows no other keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, regex_engine="python-re")
+    # Built at first use: `fab --list` reads no inventory.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, regex_engine="python-re", defer_build=True
+    )
 
 
 class Ros(Frozen):
@@ -70,7 +73,7 @@ class Ros(Frozen):
 
     master: Annotated[str, Field(pattern=rules.MASTER)] = Field(
         default="own",
-        description="'own': the robot runs its own roscore. Else the URI of a shared one, http://host:port.",
+        description="'own': each robot runs its roscore. Else a shared one's URI, http://host:port.",
     )
     hostname: Annotated[str, Field(pattern=rules.HOSTNAME)] | None = Field(
         default=None, description="ROS_HOSTNAME: the name others reach the robot by. Default: its address."
@@ -190,8 +193,8 @@ class Robot(Frozen):
     port: int | None = None
     identity_file: Path | None = None
     platform: Platform = "linux/arm64"
-    ros: Ros = Ros()
-    docker: Docker = Docker()
+    ros: Ros = Field(default_factory=Ros)
+    docker: Docker = Field(default_factory=Docker)
     environment: dict[str, str] = {}
     files: dict[str, Path] = {}
     known_hosts: Path = Path("known_hosts")
@@ -217,10 +220,8 @@ class Inventory:
         Raises `SelectionError` where an item means nobody, or there is no robot at all.
         """
         if not self.robots:
-            raise SelectionError(
-                f"{self.path} names no robots",
-                cure="`fab lab.up` starts three virtual Pis, or add yours under `robots:`",
-            )
+            cure = "`fab lab.up` starts three virtual Pis, or add yours under `robots:`"
+            raise SelectionError(f"{self.path} names no robots", cure=cure)
         return tuple(self.robots[name] for name in choose(hosts, robots=self.robots, groups=self.groups))
 
 
