@@ -22,17 +22,17 @@ REMOVE = ("apt-get", "remove", "--yes")
 # not a pipe: whatever the command leaves running would hold a pipe open. Without Use-Pty, dpkg ends together with apt.
 _PATIENTLY = r"""
 patience=$1 limit=$2; shift 2; umask 022
-work=$(mktemp -d) && trap 'rm -rf "$work"' EXIT
-printf 'DPkg::Lock::Timeout "%s";\nDPkg::Use-Pty "0";\n' "$patience" > "$work/apt.conf"
+work=$(mktemp -d) && trap "rm -rf $work" EXIT
+echo "DPkg::Lock::Timeout \"$patience\"; DPkg::Use-Pty \"0\";" > "$work/apt.conf"
 end=$(($(date +%s) + patience))
 while :; do
   APT_CONFIG=$work/apt.conf timeout --kill-after=5 "$limit" "$@" > "$work/said" 2>&1 &
   tail -n +1 -f -s 0.2 --pid=$! "$work/said"
   wait $!; code=$?
   [ $code -ne 0 ] || exit 0
-  grep -qE '^E: Could not get lock|^dpkg: error: .* lock was locked' "$work/said" || break
+  grep -qE "^E: Could not get lock|^dpkg: error: .* lock was locked" "$work/said" || break
   [ "$(date +%s)" -lt "$end" ] || break
-  echo 'another program uses apt; trying again in 5 s'; sleep 5
+  echo "another program uses apt; trying again in 5 s"; sleep 5
 done
 [ $code -ne 124 ] && [ $code -ne 137 ] || { echo "it did not end within $limit s, and was ended"; exit 1; }
 exit $code
@@ -42,10 +42,10 @@ exit $code
 _COMPOSE = r"""
 apt-get update -qq || exit
 for name in docker-compose-plugin docker-compose-v2 docker-compose; do
-  apt-cache policy "$name" | grep -qE 'Candidate: ([0-9]+:)?([2-9]|[1-9][0-9])' || continue
+  apt-cache policy "$name" | grep -qE "Candidate: ([0-9]+:)?([2-9]|[1-9][0-9])" || continue
   exec apt-get install --yes --no-install-recommends "$name"
 done
-echo 'no package of this system brings the Compose plugin' >&2; exit 1
+echo "no package of this system brings the Compose plugin" >&2; exit 1
 """
 
 COMPOSE_PLUGIN = ("sh", "-c", _COMPOSE)

@@ -7,8 +7,11 @@ The probe is a POSIX shell script that looks and never touches. It answers in se
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass, field
 from typing import Literal
+
+from fleet.layout import PART
 
 MARK = "=fleet="
 
@@ -18,7 +21,10 @@ Engine = Literal["ready", "absent", "stopped", "forbidden"]
 IDENTITY = (
     "{{.Os}}/{{.Architecture}}{{println}}{{range .RootFS.Layers}}layer {{println .}}{{end}}"
     "{{with .Config}}{{range .Env}}env {{println .}}{{end}}{{range .Entrypoint}}entrypoint {{println .}}{{end}}"
-    "{{range .Cmd}}cmd {{println .}}{{end}}user {{println .User}}directory {{println .WorkingDir}}{{end}}"
+    "{{range .Cmd}}cmd {{println .}}{{end}}user {{println .User}}directory {{println .WorkingDir}}"
+    "{{range $path, $_ := .Volumes}}volume {{println $path}}{{end}}{{with .StopSignal}}stop {{println .}}{{end}}"
+    "{{with .Healthcheck}}{{range .Test}}check {{println .}}{{end}}"
+    '{{printf "checked %d %d %d %d" .Interval .Timeout .StartPeriod .Retries | println}}{{end}}{{end}}'
 )
 """What makes two images the same on any engine and store, as a ``docker image inspect --format`` template.
 
@@ -122,13 +128,10 @@ class Facts:
     def platforms(self) -> tuple[str, ...]:
         """Platforms whose containers run here: the userland's own first, then those that are emulated."""
         own = _PLATFORMS.get(self.userland) or _PLATFORMS.get(self.machine, "")
-        if (
-            self.machine == "armv6l"
-        ):  # the first Pis and the Zero: their "armhf" is not what ARMv7 images need
+        if self.machine == "armv6l":  # the first Pis and the Zero: their armhf is not what ARMv7 images need
             own = ""
-        return tuple(
-            dict.fromkeys(filter(None, (own, *(_EMULATORS.get(name, "") for name in self.emulates))))
-        )
+        emulated = (_EMULATORS.get(name, "") for name in self.emulates)
+        return tuple(dict.fromkeys(platform for platform in (own, *emulated) if platform))
 
 
 _PLATFORMS = {
@@ -149,7 +152,7 @@ def parse(text: str) -> Facts:
     login, *groups = said.get("login", "").splitlines() or [""]
     engine, version = _engine(said.get("docker", ""))
     size, free = _disk(said.get("disk", ""))
-    temperature = said.get("temperature", "")
+    temperature = _number(said.get("temperature", ""))
     return Facts(
         machine=said.get("machine", ""),
         userland=said.get("userland", ""),
@@ -157,10 +160,10 @@ def parse(text: str) -> Facts:
         login=login,
         groups=tuple(" ".join(groups).split()),
         sudo=_sudo(said.get("sudo", "")),
-        clock=float(said.get("clock") or 0),
+        clock=float(_number(said.get("clock", "")) or 0),
         disk_size=size,
         disk_free=free,
-        temperature=int(temperature) / 1000 if temperature.lstrip("-").isdigit() else None,
+        temperature=None if temperature is None else temperature / 1000,
         emulates=tuple(path.rpartition("/")[2] for path in said.get("emulates", "").split()),
         starts_at_boot=said.get("boot", "") == "enabled",
         daemon_config=said.get("daemon", ""),
@@ -169,14 +172,14 @@ def parse(text: str) -> Facts:
         interrupted=bool(said.get("interrupted", "")),
         docker_source=bool(said.get("source", "")),
         current=said.get("current", "").rpartition("/")[2],
-        releases=tuple(said.get("releases", "").split()),
+        releases=tuple(name for name in said.get("releases", "").split() if not name.endswith(PART)),
         history=tuple(said.get("history", "").splitlines()),
         engine=engine,
         docker=version,
         client=_client(said.get("client", "")),
         store=said.get("store", ""),
-        compose=said.get("compose", "").lstrip("v"),
-        containers=tuple(_container(line) for line in said.get("containers", "").splitlines()),
+        compose=_compose(said.get("compose", "")),
+        containers=_containers(said.get("containers", "")),
         images=_images(said.get("images", "")),
         noise=noise.strip(),
     )
@@ -185,15 +188,21 @@ def parse(text: str) -> Facts:
 def _engine(said: str) -> tuple[Engine, str]:
     if not said:
         return "absent", ""
-    if "permission denied" in said.lower():
-        return "forbidden", ""
     last = said.splitlines()[-1]
-    return ("ready", last) if last[:1].isdigit() else ("stopped", "")
+    if last[:1].isdigit():  # warnings come before it, also of a forbidden ~/.docker/config.json
+        return "ready", last
+    return ("forbidden" if "permission denied" in said.lower() else "stopped"), ""
 
 
 def _client(said: str) -> str:
     """``Docker version 26.1.5+dfsg1, build a72d7cd`` -> ``26.1.5+dfsg1``."""
     return said.removeprefix("Docker version ").partition(",")[0] if said.startswith("Docker version") else ""
+
+
+def _compose(said: str) -> str:
+    """Its version; "" where ``docker`` without the plugin answered with its own help."""
+    version = said.removeprefix("v")
+    return version if version[:1].isdigit() else ""
 
 
 def _sudo(said: str) -> Sudo:
@@ -207,11 +216,13 @@ def _sudo(said: str) -> Sudo:
 def _disk(said: str) -> tuple[int, int]:
     """``df -Pk``: a heading, then one line of POSIX columns in KiB."""
     columns = said.splitlines()[-1].split() if said else []
-    return (
-        (int(columns[1]) * 1024, int(columns[3]) * 1024)
-        if len(columns) > 3 and columns[3].isdigit()
-        else (0, 0)
-    )
+    if len(columns) < 4 or not (columns[1].isdigit() and columns[3].isdigit()):
+        return 0, 0
+    return int(columns[1]) * 1024, int(columns[3]) * 1024
+
+
+def _number(said: str) -> int | None:
+    return int(said) if re.fullmatch("-?[0-9]+", said) else None
 
 
 def _members(said: str) -> tuple[str, ...] | None:
@@ -219,8 +230,12 @@ def _members(said: str) -> tuple[str, ...] | None:
     return tuple(filter(None, said.split(":")[3].split(","))) if said.count(":") == 3 else None
 
 
-def _container(line: str) -> Container:
-    said = json.loads(line)
+def _containers(said: str) -> tuple[Container, ...]:
+    """One JSON object a line; Docker's warnings are none."""
+    return tuple(_container(json.loads(line)) for line in said.splitlines() if line.startswith("{"))
+
+
+def _container(said: dict[str, str]) -> Container:
     labels = dict(pair.partition("=")[::2] for pair in said["Labels"].split(","))
     return Container(
         name=said["Names"],

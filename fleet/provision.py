@@ -41,15 +41,15 @@ _FORGET = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker
 
 # An image of the robot's own /bin/true and its libraries: no registry is needed, and its architecture is the robot's.
 _CONTAINER = r"""
-{ echo bin/true; ldd /bin/true | grep -o '/[^ ]*' | cut -c2-; } | tar -ch -C / -T - | docker import - "$1" > /dev/null &&
+{ echo bin/true; ldd /bin/true | grep -o "/[^ ]*" | cut -c2-; } | tar -ch -C / -T - | docker import - "$1" > /dev/null &&
   docker run --rm --network none "$1" /bin/true
 code=$?; docker image rm "$1" > /dev/null; exit $code
 """
 
 # dpkg's reason for a failure stands only in its log, the engine's only in the journal.
 _REASONS = r"""
-find /var/log/apt/term.log -mmin -2 -exec grep -E '^dpkg: |^ ' {} + 2>/dev/null | tail -n 5
-systemctl is-failed --quiet docker && journalctl --unit docker --lines 8 --no-pager --output cat
+find /var/log/apt/term.log -mmin -2 -exec grep -E "^dpkg: |^ " {} + 2>/dev/null | tail -n 5
+systemctl is-active --quiet docker || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2>/dev/null
 true
 """
 
@@ -86,9 +86,7 @@ def plan(
         *_boot(facts),
     )
     if not steps:
-        return Plan(
-            robot=robot.name, summary=f"unchanged, Docker {facts.docker} with Compose {facts.compose}"
-        )
+        return Plan(robot=robot.name, summary=f"Docker {facts.docker} with Compose {facts.compose}")
     rights.check(facts)
     return Plan(
         robot=robot.name,
