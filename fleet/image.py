@@ -73,6 +73,11 @@ def identity(attributes: dict[str, Any]) -> str:
     for word, key in (("env", "Env"), ("entrypoint", "Entrypoint"), ("cmd", "Cmd")):
         lines += [f"{word} {value}" for value in config.get(key) or []]
     lines += [f"user {config.get('User') or ''}", f"directory {config.get('WorkingDir') or ''}"]
+    lines += [f"volume {path}" for path in sorted(config.get("Volumes") or {})]
+    lines += [f"stop {signal}" for signal in [config.get("StopSignal")] if signal]
+    if check := config.get("Healthcheck"):
+        times = (check.get(key, 0) for key in ("Interval", "Timeout", "StartPeriod", "Retries"))
+        lines += [*(f"check {word}" for word in check.get("Test") or []), "checked {} {} {} {}".format(*times)]
     return "\n".join(lines).strip()
 
 

@@ -120,11 +120,13 @@ def exit_code(outcomes: tuple[Outcome, ...]) -> int:
 
 def human_bytes(count: float) -> str:
     """A number of bytes as people say it, in decimal units: ``242 MB``."""
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.0f} {unit}" if count >= 10 or unit == "B" else f"{count:.1f} {unit}"
+    if count < 1000:
+        return f"{count:.0f} B"
+    for unit in ("kB", "MB"):
         count /= 1000
-    return f"{count:.1f} GB"
+        if count < 999.5:  # else it would be rounded to 1000 of this unit
+            return f"{count:.1f} {unit}" if count < 9.95 else f"{count:.0f} {unit}"
+    return f"{count / 1000:.1f} GB"
 
 
 def human_seconds(seconds: float) -> str:
