@@ -7,6 +7,7 @@ one platform at a time and tagged for it (`fleet.image.tagged_for`). A service w
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -73,6 +74,11 @@ def run(command: Command, *, say: Callable[[str], None]) -> None:
         raise DesktopError(
             f"{command.title} failed with code {code}", cure="the reason is in the lines above"
         )
+
+
+def lines(commands: Iterable[Command]) -> list[str]:
+    """The commands as the text that ``--dry`` prints."""
+    return [text for command in commands for text in (command.title, f"  $ {shlex.join(command.argv)}")]
 
 
 def _build(build: Build, reference: str, platform: str, client: Sequence[str]) -> list[Command]:

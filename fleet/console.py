@@ -5,7 +5,6 @@ The only module that imports rich. Results go to standard output; progress and p
 
 from __future__ import annotations
 
-import shlex
 import sys
 import threading
 from collections import Counter
@@ -17,6 +16,7 @@ from rich.progress import (
     BarColumn,
     DownloadColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
     TextColumn,
     TimeElapsedColumn,
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
 
-    from rich.progress import TaskID
+    from rich.console import RenderableType
+    from rich.progress import Task, TaskID
 
-    from fleet.build import Command
     from fleet.image import Image
     from fleet.plan import Outcome, Plan
 
@@ -65,9 +65,10 @@ class Screen:
         """One line of what is going on."""
         self.err.print(Text(text))
 
-    def line(self, text: str) -> None:
-        """One line of result, exactly."""
-        self.out.print(Text(text), soft_wrap=True)
+    def lines(self, lines: Iterable[str]) -> None:
+        """Lines of result, exactly."""
+        for line in lines:
+            self.out.print(Text(line), soft_wrap=True)
 
     def json(self, value: object) -> None:
         """A value for programs, on standard output."""
@@ -78,14 +79,6 @@ class Screen:
         for plan in plans:
             for number, text in enumerate(lines(plan)):
                 self.out.print(Text(text, style="bold" if number == 0 else ""), soft_wrap=True)
-
-    def commands(self, commands: Iterable[Command], *, json: bool) -> None:
-        """The commands on this computer that ``--dry`` would run."""
-        if json:
-            self.json(list(commands))
-            return
-        for command in commands:
-            self.line(f"{command.title}\n  $ {shlex.join(command.argv)}")
 
     def images(self, images: Iterable[Image], *, json: bool) -> None:
         """Local images: name, platform and size."""
@@ -205,6 +198,18 @@ class Lines:
         self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
 
 
+class WhereBytesFlow(ProgressColumn):
+    """Another column, empty for steps that send nothing."""
+
+    def __init__(self, column: ProgressColumn) -> None:
+        super().__init__()
+        self._column = column
+
+    def render(self, task: Task) -> RenderableType:
+        """See ``rich.progress.ProgressColumn.render``."""
+        return self._column.render(task) if task.total else ""
+
+
 class Bars:
     """A line per robot that moves: what it does, and where bytes flow how many, how fast and how long still."""
 
@@ -213,11 +218,11 @@ class Bars:
             SpinnerColumn(),
             TextColumn("[bold]{task.fields[robot]}"),
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            DownloadColumn(),
-            TransferSpeedColumn(),
-            TimeRemainingColumn(),
             TimeElapsedColumn(),
+            WhereBytesFlow(BarColumn(bar_width=24)),
+            WhereBytesFlow(DownloadColumn()),
+            WhereBytesFlow(TransferSpeedColumn()),
+            WhereBytesFlow(TimeRemainingColumn(compact=True)),
             console=console,
             transient=True,
         )
@@ -236,8 +241,7 @@ class Bars:
     def began(self, robot: str, title: str, size: int | None) -> None:
         """See `fleet.rollout.Watch`."""
         with self._lock:
-            if old := self._tasks.pop(robot, None):
-                self._moving.remove_task(old)
+            self._drop(robot)
             self._tasks[robot] = self._moving.add_task(title, total=size, robot=robot)
 
     def sent(self, robot: str, count: int) -> None:
@@ -247,8 +251,12 @@ class Bars:
     def ended(self, outcome: Outcome) -> None:
         """See `fleet.rollout.Watch`."""
         with self._lock:
-            if task := self._tasks.pop(outcome.robot, None):
-                self._moving.remove_task(task)
+            self._drop(outcome.robot)
+
+    def _drop(self, robot: str) -> None:
+        task = self._tasks.pop(robot, None)
+        if task is not None:
+            self._moving.remove_task(task)
 
 
 Show = Lines | Bars

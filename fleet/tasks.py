@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet import build as builds
-from fleet import cli, containers, image, script, sshconfig
+from fleet import cli, containers, image, labtasks, script, sshconfig
 from fleet import follow as following
 from fleet import inventory as inventories
-from fleet import lab as labs
 from fleet import provision as provisioning
 from fleet import release as releases
 from fleet import ship as shipping
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from fleet.facts import Facts
     from fleet.inventory import Inventory, Robot
     from fleet.plan import Plan
-
-LAB = Path(".lab")
 
 
 @verb()
@@ -90,13 +87,13 @@ def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: 
     platforms = tuple(dict.fromkeys(robot.platform for robot in robots))
     commands = builds.plan(stack=stack, platforms=platforms, client=buildkit_client())
     if dry:
-        return screen.commands(commands, json=json)
+        screen.json(commands) if json else screen.lines(builds.lines(commands))
+        return
     for command in commands:
         builds.run(command, say=screen.say)
     with image.Store() as store:
         found = [store.find(name, platform) for platform in platforms for name in stack.images.values()]
     screen.images(found, json=json)
-    return None
 
 
 @verb()
@@ -247,29 +244,6 @@ def listen(
     )
 
 
-@verb({"count": "virtual Pis to have; default: 3"}, name="up")
-def lab_up(count: int = 3) -> None:
-    """Have virtual Pis on this computer: systemd, sshd, sudo, and no Docker yet."""
-    labs.up(count, directory=LAB, say=Screen().say)
-
-
-@verb(name="down")
-def lab_down() -> None:
-    """Remove the virtual Pis and all they hold."""
-    labs.down(directory=LAB, say=Screen().say)
-
-
-@verb(name="list")
-def lab_list(json: bool = False) -> None:
-    """Show the virtual Pis."""
-    screen, pis = Screen(), labs.list_()
-    if json:
-        screen.json(pis)
-    else:
-        columns = ("name", "address", "state", "platform", "container")
-        screen.table(columns, [[(str(getattr(pi, column)), "") for column in columns] for pi in pis])
-
-
 ns = cli.collection(
     (
         inventory,
@@ -288,7 +262,7 @@ ns = cli.collection(
         shell,
         listen,
     ),
-    lab=(lab_up, lab_down, lab_list),
+    lab=labtasks.VERBS,
 )
 
 

@@ -1,0 +1,38 @@
+"""Which verbs does the lab have? ``fab lab.up``, ``lab.down``, ``lab.list``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fleet import lab
+from fleet.cli import verb
+from fleet.console import Screen
+
+DIRECTORY = Path(".lab")
+"""Where the lab keeps its key and its inventory; ``inventory.yaml`` includes it."""
+
+
+@verb({"count": "virtual Pis to have; default: 3"})
+def up(count: int = 3) -> None:
+    """Have virtual Pis on this computer: systemd, sshd, sudo, and no Docker yet."""
+    lab.up(count, directory=DIRECTORY, say=Screen().say)
+
+
+@verb()
+def down() -> None:
+    """Remove the virtual Pis and all they hold."""
+    lab.down(directory=DIRECTORY, say=Screen().say)
+
+
+@verb(name="list")
+def list_(json: bool = False) -> None:
+    """Show the virtual Pis."""
+    screen, pis = Screen(), lab.list_()
+    if json:
+        screen.json(pis)
+    else:
+        columns = ("name", "address", "state", "platform", "container")
+        screen.table(columns, [[(str(getattr(pi, column)), "") for column in columns] for pi in pis])
+
+
+VERBS = (up, down, list_)
