@@ -54,9 +54,8 @@ section group; getent group docker
 section current; readlink "$HOME/.fleet/current" 2>/dev/null
 section releases; ls -1 "$HOME/.fleet/releases" 2>/dev/null
 section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
-section docker
 if command -v docker >/dev/null; then
-  docker version --format '{{.Server.Version}}' 2>&1
+  section docker; docker version --format '{{.Server.Version}}' 2>&1
   section client; docker --version 2>/dev/null
   section store; docker info --format '{{.Driver}}' 2>/dev/null
   section compose; docker compose version --short 2>/dev/null
@@ -150,7 +149,7 @@ def parse(text: str) -> Facts:
     noise, *parts = text.split(f"\n{MARK} ")
     said = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
     login, *groups = said.get("login", "").splitlines() or [""]
-    engine, version = _engine(said.get("docker", ""))
+    engine, version = _engine(said.get("docker"))
     size, free = _disk(said.get("disk", ""))
     temperature = _number(said.get("temperature", ""))
     return Facts(
@@ -185,10 +184,10 @@ def parse(text: str) -> Facts:
     )
 
 
-def _engine(said: str) -> tuple[Engine, str]:
-    if not said:
+def _engine(said: str | None) -> tuple[Engine, str]:
+    if said is None:  # there is no `docker` command
         return "absent", ""
-    last = said.splitlines()[-1]
+    last = "".join(said.splitlines()[-1:])
     if last[:1].isdigit():  # warnings come before it, also of a forbidden ~/.docker/config.json
         return "ready", last
     return ("forbidden" if "permission denied" in said.lower() else "stopped"), ""
