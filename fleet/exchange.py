@@ -7,7 +7,6 @@ a second thread sends, because a command that fills its output while we fill its
 from __future__ import annotations
 
 import contextlib
-import select
 import threading
 import time
 from typing import TYPE_CHECKING, Protocol
@@ -23,35 +22,39 @@ if TYPE_CHECKING:
 PIECE = 128 * 1024
 """Bytes sent between two signs of progress."""
 
+TICK = 0.1
+"""Seconds between two looks at the clock while nothing comes; what comes is taken at once."""
+
 GRACE = 15.0
 """Seconds a robot has to end a command itself at its limit, before the connection is cut from here."""
 
 LINGER = 2.0
 """Seconds to wait for the end of output after a command has ended: something it started may hold its output open."""
 
+AGAIN = "see that the robot has power and signal, then run the same command again"
+
 
 class Channel(Protocol):
     """What is used of ``paramiko.Channel``."""
 
     @property
-    def eof_received(self) -> int: ...
-    @property
-    def closed(self) -> bool: ...
-    def fileno(self) -> int: ...
-    def recv_ready(self) -> bool: ...
+    def status_event(self) -> threading.Event: ...
+    def settimeout(self, timeout: float | None) -> None: ...
     def recv(self, nbytes: int) -> bytes: ...
     def recv_stderr_ready(self) -> bool: ...
     def recv_stderr(self, nbytes: int) -> bytes: ...
     def exit_status_ready(self) -> bool: ...
     def recv_exit_status(self) -> int: ...
-    def sendall(self, s: bytes) -> None: ...
+    def send(self, s: bytes) -> int: ...
     def shutdown_write(self) -> None: ...
 
 
 class Transport(Protocol):
-    """What is used of ``paramiko.Transport``."""
+    """What is used of ``paramiko.Transport``, which is a thread."""
 
     def is_active(self) -> bool: ...
+    def is_alive(self) -> bool: ...
+    def join(self, timeout: float | None = None) -> None: ...
     def global_request(self, kind: str, data: None = None, wait: bool = True) -> object: ...
     def close(self) -> None: ...
 
@@ -67,7 +70,7 @@ class Exchange:
         self._err: list[bytes] = []
         self._alive = time.monotonic()
         self._asked = False
-        self._feed_failed: BaseException | None = None
+        self._failed: BaseException | None = None
 
     @property
     def output(self) -> str:
@@ -82,68 +85,80 @@ class Exchange:
     def run(
         self, *, feed: Iterable[bytes] | None, limit: float | None, sent: Teller | None, heard: Hearer | None
     ) -> int:
-        """Feed and listen until the command ends; its exit code.
+        """Feed and listen until the command ends; its exit code, or -1 where a signal ended it.
+
+        Whatever is raised, the connection is closed by then.
 
         Raises:
             LinkLost: the connection ended, or nothing was heard for the time of ``silence``.
             TimedOut: the robot did not end the command at its limit.
-            Whatever iterating ``feed`` raises.
+            Whatever iterating ``feed``, ``sent`` or ``heard`` raises.
 
         """
-        started = self._alive = time.monotonic()
-        if feed is not None:
-            threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
-        poll = select.poll()
-        poll.register(self._channel.fileno(), select.POLLIN)
+        self._channel.settimeout(TICK)
+        sender = threading.Thread(target=self._send, args=(() if feed is None else feed, sent), daemon=True)
+        deadline = float("inf") if limit is None else time.monotonic() + limit + GRACE
+        try:
+            if feed is not None:
+                sender.start()
+            self._listen(heard or self._out.append, deadline=deadline)
+            return self._code()
+        except BaseException:
+            self._transport.close()
+            raise
+
+    def _listen(self, heard: Hearer, *, deadline: float) -> None:
+        """Take what comes until the command has ended and all it wrote is here."""
         ended: float | None = None
-        while not self._drain(heard) or ended is None or not self._channel.eof_received:
-            if self._feed_failed:
-                self._transport.close()
-                raise self._feed_failed
-            now = time.monotonic()
-            if ended is None and self._channel.exit_status_ready():
-                ended = now
-            if self._channel.closed or (ended is not None and now - ended > LINGER):
-                break
-            self._watch(now=now, overdue=limit is not None and now - started > limit + GRACE)
-            poll.poll(200)
-        self._drain(heard)
-        code = self._channel.recv_exit_status() if self._channel.exit_status_ready() else -1
-        if self._feed_failed:
-            raise self._feed_failed
+        # A stalled link looks like an output held open, so the robot must have been heard since.
+        while ended is None or not ended < self._alive <= time.monotonic() - LINGER:
+            self._watch(deadline=deadline)
+            self._hear_errors()
+            try:
+                data = self._channel.recv(1 << 20)
+            except TimeoutError:
+                data = None
+            if data:
+                self._alive = time.monotonic()
+                heard(data)
+            elif ended is None and self._channel.exit_status_ready():
+                ended = time.monotonic()
+                self._ask()
+            if data == b"":  # the end of its output; it may run on without one
+                self._hear_errors()
+                if self._channel.exit_status_ready():
+                    return
+                self._channel.status_event.wait(TICK)
+
+    def _hear_errors(self) -> None:
+        while self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20)):
+            self._alive = time.monotonic()
+            self._err.append(data)
+
+    def _code(self) -> int:
+        code = self._channel.recv_exit_status()
+        if self._failed:
+            raise self._failed
         if code == -1:
-            raise LinkLost("the connection was lost while the command ran")
+            # Either a signal ended the command, or the connection is just coming down.
+            self._transport.join(0.5)
+            if not (self._transport.is_alive() and self._transport.is_active()):
+                raise LinkLost("the connection was lost while the command ran", cure=AGAIN)
         return code
 
-    def _drain(self, heard: Hearer | None) -> bool:
-        """Take what has arrived. Returns whether there was nothing."""
-        nothing = True
-        while self._channel.recv_ready() and (data := self._channel.recv(1 << 20)):
-            nothing = False
-            heard(data) if heard else self._out.append(data)
-        while self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20)):
-            nothing = False
-            self._err.append(data)
-        if not nothing:
-            self._alive = time.monotonic()
-        return nothing
-
     def _send(self, feed: Iterable[bytes], sent: Teller | None) -> None:
-        """Send, in a thread of its own. A command that ends early closes its input; its own output has the reason."""
+        """Send, in a thread of its own. What goes wrong is raised by the listening thread."""
         try:
             for chunk in feed:
                 view = memoryview(chunk)
                 for start in range(0, len(view), PIECE):
                     piece = view[start : start + PIECE]
-                    try:
-                        self._channel.sendall(piece)  # type: ignore[arg-type]  # takes any buffer, annotated bytes
-                    except OSError:
+                    if not self._push(piece):
                         return
-                    self._alive = time.monotonic()
                     if sent:
                         sent(len(piece))
-        except BaseException as problem:  # noqa: BLE001  handed to the listening thread, which raises it
-            self._feed_failed = problem
+        except BaseException as problem:  # noqa: BLE001  handed to the listening thread
+            self._failed = problem
         else:
             with contextlib.suppress(OSError, EOFError):
                 self._channel.shutdown_write()
@@ -151,23 +166,49 @@ class Exchange:
             if close := getattr(feed, "close", None):
                 close()
 
-    def _watch(self, *, now: float, overdue: bool) -> None:
-        """Cut a connection that is dead or whose command will not end. TCP alone would wait for a quarter of an hour."""
-        if overdue:
-            self._transport.close()
-            raise TimedOut("the command did not end at its time limit, so the connection was cut")
-        if not self._transport.is_active():
-            raise LinkLost("the connection was lost while the command ran")
+    def _push(self, piece: memoryview) -> bool:
+        """Send a piece, however long it takes. False: nobody takes it, and the command's own output has the reason."""
+        while piece:
+            try:
+                count = self._channel.send(piece)  # type: ignore[arg-type]  # takes any buffer, annotated bytes
+            except TimeoutError:
+                continue  # the robot is busy; the listening thread watches for how long
+            except (OSError, EOFError):
+                return False
+            except Exception as problem:
+                raise LinkLost(
+                    f"the connection broke while bytes were sent: {problem}", cure=AGAIN
+                ) from problem
+            if not count:
+                return False
+            self._alive = time.monotonic()
+            piece = piece[count:]
+        return True
+
+    def _watch(self, *, deadline: float) -> None:
+        """Give up on a dead connection and on a command that will not end. TCP alone would wait for a quarter hour."""
+        now = time.monotonic()
         quiet = now - self._alive
+        if self._failed:
+            raise self._failed
+        if now > deadline:
+            raise TimedOut(
+                "the command did not end at its time limit, so the connection was cut",
+                cure="is the robot busy?",
+            )
         if quiet > self._silence:
-            self._transport.close()
-            raise LinkLost(f"nothing was heard from the robot for {quiet:.0f} s, so the connection was cut")
-        if quiet > self._silence / 3 and not self._asked:
-            self._asked = True
-            threading.Thread(target=self._ask, daemon=True).start()
+            what = f"nothing was heard from the robot for {quiet:.0f} s while the command ran"
+            raise LinkLost(what, cure=AGAIN)
+        if quiet > self._silence / 3:
+            self._ask()
 
     def _ask(self) -> None:
         """OpenSSH's ServerAliveInterval: any answer to ``keepalive@openssh.com``, a refusal too, is a sign of life."""
+        if not self._asked:
+            self._asked = True
+            threading.Thread(target=self._await_answer, daemon=True).start()
+
+    def _await_answer(self) -> None:
         with contextlib.suppress(OSError, EOFError):
             self._transport.global_request("keepalive@openssh.com", wait=True)
             if self._transport.is_active():

@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
+import fcntl
 import hashlib
 import hmac
+import os
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from fleet.errors import InventoryError, UntrustedHostKey
+from fleet.errors import DesktopError, InventoryError, UntrustedHostKey
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
 Verdict = Literal["known", "unknown", "changed", "revoked"]
+
+_RSA = ("rsa-sha2-512", "rsa-sha2-256")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,40 +43,45 @@ class HostKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One line of a ``known_hosts`` file."""
+    """What one line says: a key, trusted or revoked, and ``where`` it is written (``file:line``)."""
 
-    patterns: tuple[str, ...]
     key: HostKey
-    revoked: bool = False
-
-    def matches(self, name: str) -> bool:
-        """Whether this line speaks of ``name`` (a host, or ``[host]:port``): negated patterns win."""
-        if len(self.patterns) == 1 and self.patterns[0].startswith("|1|"):
-            return _hash_matches(self.patterns[0], name)
-        negated = any(_glob_matches(p[1:], name) for p in self.patterns if p.startswith("!"))
-        return not negated and any(_glob_matches(p, name) for p in self.patterns if not p.startswith("!"))
+    revoked: bool
+    where: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownHosts:
-    """The entries of several ``known_hosts`` files, the project's first."""
+    """The lines of several ``known_hosts`` files, the project's first, each with where it is written.
 
-    entries: tuple[Entry, ...] = ()
+    Lines are parsed when asked for a name: a file may have thousands, and every robot asks for one.
+    """
+
+    lines: tuple[tuple[str, str], ...] = ()
+
+    def about(self, name: str) -> tuple[Entry, ...]:
+        """The entries that speak of ``name`` (``host``, or ``[host]:port``)."""
+        lowered = name.lower()
+        found = (_entry(text, name=lowered, where=where) for where, text in self.lines)
+        return tuple(entry for entry in found if entry)
 
     def verdict(self, name: str, key: HostKey) -> Verdict:
-        """What these files say of ``key`` offered by ``name`` (``host`` or ``[host]:port``)."""
-        matching = [entry for entry in self.entries if entry.matches(name)]
-        if any(entry.revoked and entry.key.blob == key.blob for entry in matching):
+        """What these files say of ``key`` offered by ``name``."""
+        entries = self.about(name)
+        if any(entry.revoked and entry.key.blob == key.blob for entry in entries):
             return "revoked"
-        trusted = [entry.key for entry in matching if not entry.revoked]
-        if any(known.blob == key.blob for known in trusted):
+        trusted = [entry.key.blob for entry in entries if not entry.revoked]
+        if key.blob in trusted:
             return "known"
         return "changed" if trusted else "unknown"
 
-    def kinds(self, name: str) -> tuple[str, ...]:
-        """The key types known for ``name``: to be asked for first, or a host with several looks changed."""
-        kinds = (entry.key.kind for entry in self.entries if entry.matches(name) and not entry.revoked)
-        return tuple(dict.fromkeys(kinds))
+    def algorithms(self, name: str) -> tuple[str, ...]:
+        """What to ask a host for first: with a key of another type than ours it looks like another host.
+
+        Files name RSA keys by their type, the protocol by how they sign (RFC 8332).
+        """
+        kinds = dict.fromkeys(entry.key.kind for entry in self.about(name) if not entry.revoked)
+        return tuple(name for kind in kinds for name in (_RSA if kind == "ssh-rsa" else (kind,)))
 
 
 def read(paths: Iterable[Path]) -> KnownHosts:
@@ -81,33 +91,38 @@ def read(paths: Iterable[Path]) -> KnownHosts:
         InventoryError: a file is there and cannot be read.
 
     """
-    entries: list[Entry] = []
+    lines: list[tuple[str, str]] = []
     for path in paths:
         try:
             text = path.read_text(encoding="utf-8", errors="replace")
         except (FileNotFoundError, NotADirectoryError):
             continue
         except OSError as problem:
-            raise InventoryError(f"cannot read {path}: {problem.strerror}") from problem
-        entries += parse(text)
-    return KnownHosts(entries=tuple(entries))
-
-
-def parse(text: str) -> list[Entry]:
-    """Parse the text of a ``known_hosts`` file; lines that are not entries are passed over, as OpenSSH does."""
-    return [entry for line in text.splitlines() if (entry := _entry(line.split()))]
+            cure = "make it a file that you can read"
+            raise InventoryError(f"cannot read {path}: {problem.strerror}", cure=cure) from problem
+        lines += ((f"{path}:{number}", line) for number, line in enumerate(text.split("\n"), start=1))
+    return KnownHosts(lines=tuple(lines))
 
 
 def record(path: Path, *, name: str, key: HostKey) -> None:
-    """Write one key into the project's file, in place of the keys it has for that very name."""
-    old = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    kept = [line for line in old if line.split(maxsplit=1)[:1] != [name]]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(path.name + ".new")
-    new.write_text(
-        "\n".join([*kept, f"{name} {key.kind} {base64.b64encode(key.blob).decode()}", ""]), encoding="utf-8"
-    )
-    new.replace(path)
+    """Write one key into the project's file, in place of the keys it has for that very name.
+
+    Raises:
+        DesktopError: the file cannot be written.
+
+    """
+    line = f"{name} {key.kind} {base64.b64encode(key.blob).decode()}\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _alone(path.parent):
+            old = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+            kept = [text.rstrip("\r\n") + "\n" for text in old if text.split(maxsplit=1)[:1] != [name]]
+            new = path.with_name(path.name + ".new")
+            new.write_text("".join((*kept, line)), encoding="utf-8")
+            new.replace(path)
+    except OSError as problem:
+        cure = "the host key was not recorded; make the file writable"
+        raise DesktopError(f"cannot write {path}: {problem.strerror}", cure=cure) from problem
 
 
 def host_name(host: str, port: int) -> str:
@@ -115,8 +130,8 @@ def host_name(host: str, port: int) -> str:
     return host if port == 22 else f"[{host}]:{port}"
 
 
-def check(key: HostKey, *, name: str, known: KnownHosts) -> None:
-    """Let a known key pass.
+def check(key: HostKey, *, name: str, known: KnownHosts, jump: bool = False) -> None:
+    """Let a known key pass. ``jump`` says that it is not a robot's, but that of a host on the way.
 
     Raises:
         UntrustedHostKey: the key is unknown, not the known one, or revoked.
@@ -126,41 +141,70 @@ def check(key: HostKey, *, name: str, known: KnownHosts) -> None:
         case "known":
             return
         case "unknown":
-            what = f"the host key of {name} is not known yet"
-            cure = f"`fab trust` shows it ({key.fingerprint}) and records it"
+            what = f"the host key of {name} is not known yet: it offers {key.kind} {key.fingerprint}"
+            cure = "`ssh` to that jump host once" if jump else "`fab trust` shows it and records it"
         case "changed":
-            what = f"the host key of {name} CHANGED: it offers {key.kind} {key.fingerprint}, another one is on record"
-            cure = "if the robot was set up again, `fab trust --changed`; if not, this may be another machine"
+            on_record = ", ".join(entry.where for entry in known.about(name) if not entry.revoked)
+            what = f"the host key of {name} CHANGED: it offers {key.kind} {key.fingerprint}, not what {on_record} says"
+            again = f"`ssh-keygen -R '{name}'` and `ssh` to it once" if jump else "`fab trust --changed`"
+            cure = f"if it was set up again, {again}; if not, this may be another machine"
         case "revoked":
             what = f"the host key of {name} is revoked: {key.fingerprint}"
-            cure = "give the robot a new host key"
+            cure = "give it a new host key (`ssh-keygen -A` after removing the old one)"
     raise UntrustedHostKey(what, cure=cure)
 
 
-def _entry(fields: list[str]) -> Entry | None:
-    if not fields or fields[0].startswith("#"):
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One writer at a time: two ``fab trust`` would lose each other's keys."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _entry(line: str, *, name: str, where: str) -> Entry | None:
+    """Read one line; nothing, if it is no entry or one of another host. OpenSSH too passes over what it cannot read."""
+    fields = line.split(maxsplit=4)
+    marker = fields.pop(0) if fields and fields[0].startswith("@") else ""
+    # Certificate authorities are passed over: Paramiko cannot check host certificates.
+    if len(fields) < 3 or marker not in ("", "@revoked") or fields[0].startswith("#"):
         return None
-    marker = fields.pop(0) if fields[0].startswith("@") else ""
-    if marker not in ("", "@revoked") or len(fields) < 3:
-        return None  # certificate authorities: Paramiko cannot check host certificates
+    if not _speaks_of(fields[0], name):
+        return None
     try:
         blob = base64.b64decode(fields[2], validate=True)
     except (binascii.Error, ValueError):
         return None
-    patterns = tuple(fields[0].lower().split(",")) if not fields[0].startswith("|") else (fields[0],)
-    return Entry(patterns=patterns, key=HostKey(kind=fields[1], blob=blob), revoked=marker == "@revoked")
+    return Entry(key=HostKey(kind=fields[1], blob=blob), revoked=bool(marker), where=where)
+
+
+def _speaks_of(names: str, name: str) -> bool:
+    """Whether the first field of a line is about ``name``: one hash, or patterns of which negated ones win."""
+    if names.startswith("|"):
+        return _hash_matches(names, name)
+    patterns = names.lower().split(",")
+    if any(_glob_matches(pattern[1:], name) for pattern in patterns if pattern.startswith("!")):
+        return False
+    return any(_glob_matches(pattern, name) for pattern in patterns)
 
 
 def _glob_matches(pattern: str, name: str) -> bool:
     """Wildcards of ``known_hosts``: ``*`` and ``?`` only; brackets are those of ``[host]:port``."""
+    if "*" not in pattern and "?" not in pattern:
+        return pattern == name
     regex = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
-    return re.fullmatch(regex, name.lower()) is not None
+    return re.fullmatch(regex, name) is not None
 
 
-def _hash_matches(pattern: str, name: str) -> bool:
+def _hash_matches(hashed: str, name: str) -> bool:
     """HMAC-SHA1 of the name under the salt, as ``ssh-keygen -H`` writes it: ``|1|salt|hash``."""
     try:
-        salt, digest = (base64.b64decode(part, validate=True) for part in pattern.split("|")[2:4])
+        salt, digest = (
+            base64.b64decode(part, validate=True) for part in hashed.removeprefix("|1|").split("|")
+        )
     except (binascii.Error, ValueError):
         return False
-    return hmac.compare_digest(hmac.new(salt, name.encode(), hashlib.sha1).digest(), digest)
+    return hmac.compare_digest(hmac.digest(salt, name.encode(), "sha1"), digest)

@@ -9,42 +9,81 @@ Nothing here waits for ever. Every phase of a connection has a time limit, the k
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import random
-import shlex
+import socket
+import threading
 import time
-from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import paramiko
+from paramiko.agent import AgentSSH
+from paramiko.ssh_exception import PartialAuthentication
 
-from fleet import hostkeys, sshconfig, tcp
-from fleet.errors import LinkLost, LoginRefused, TimedOut, Unreachable
-from fleet.exchange import Exchange
+from fleet import hostkeys, keyfile, sshconfig, tcp
+from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable
+from fleet.exchange import AGAIN
 from fleet.hostkeys import HostKey, KnownHosts
+from fleet.proxycommand import ProxySocket
+from fleet.session import Result, Session, close
 
 if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
-    from types import TracebackType
 
-    from fleet.exchange import Hearer, Teller
     from fleet.inventory import Robot
     from fleet.sshconfig import Destination
 
-    Stream = socket.socket | paramiko.Channel | paramiko.ProxyCommand
+    Stream = socket.socket | paramiko.Channel
+
+__all__ = ["ATTEMPTS", "CONNECT", "SILENCE", "Result", "Session", "connect", "offered_key"]
 
 CONNECT = 10.0
-"""Seconds for a TCP connection, and again for the banner, the key exchange and each authentication."""
+"""Seconds for a TCP connection, and again for the banner with the key exchange, and for each authentication."""
 
 SILENCE = 25.0
 """Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than patience."""
 
-ATTEMPTS = 3
-"""A burst of connections makes an sshd drop some before the banner (MaxStartups); those are tried again."""
+ATTEMPTS = 6
+"""A burst of connections makes an sshd drop some before its banner (MaxStartups); those are tried again."""
+
+
+def connect(
+    robot: Robot, *, patience: float = CONNECT, silence: float = SILENCE, config: Path | None = None
+) -> Session:
+    """Log in to a robot. ``config`` is read in place of OpenSSH's own configuration; see `CONNECT` and `SILENCE`.
+
+    Raises:
+        Unreachable, UntrustedHostKey, LoginRefused: each with its cause and cure.
+        DesktopError: this computer has no OpenSSH client.
+
+    """
+    destination = sshconfig.resolve(robot, config=config)
+    way = _Way(robot.known_hosts, patience=patience, silence=silence)
+    try:
+        for stop in (*destination.via, destination):
+            way.log_in(stop, jump=stop is not destination)
+    except BaseException:
+        way.close()
+        raise
+    return Session(chain=tuple(way.chain), silence=silence)
+
+
+def offered_key(
+    robot: Robot, *, patience: float = CONNECT, silence: float = SILENCE, config: Path | None = None
+) -> tuple[str, HostKey]:
+    """The name ``known_hosts`` files keep this robot under, and the key it offers now; nobody logs in to it.
+
+    Raises:
+        As for `connect`; the hosts on the way must be trusted and let us in.
+
+    """
+    destination = sshconfig.resolve(robot, config=config)
+    with contextlib.closing(_Way(robot.known_hosts, patience=patience, silence=silence)) as way:
+        for stop in destination.via:
+            way.log_in(stop, jump=True)
+        return destination.known_as, way.reach(destination)[0]
 
 
 class _Transport(paramiko.Transport):
@@ -58,215 +97,186 @@ class _Transport(paramiko.Transport):
         "aes256-ctr",
     )
 
+    def __init__(self, stream: Stream, *, prefer: tuple[str, ...], patience: float) -> None:
+        super().__init__(stream)
+        # `start_client` has its own limit. That must pass first: it tells an sshd that is silent from one that hangs up.
+        self.banner_timeout = self.auth_timeout = 2 * patience
+        usual: tuple[str, ...] = paramiko.Transport._preferred_keys  # type: ignore[attr-defined]  # noqa: SLF001
+        self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in usual), *usual)))
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """How a command ended: its exit code, and what it wrote (as text; undecodable bytes replaced)."""
+    def _log(self, level: int, msg: object, *args: object) -> None:
+        """Nothing: what matters is raised, and Paramiko prints tracebacks of what a robot does wrong."""
 
-    code: int
-    output: str
-    errors: str
-
-
-class Session:
-    """One robot's connection. Make it with `connect`; use it from one thread at a time; `close` from any."""
-
-    def __init__(self, *, robot: Robot, chain: tuple[paramiko.Transport, ...]) -> None:
-        self.robot = robot
-        self._chain = chain
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def begin(self, command: str) -> paramiko.Channel:
+        try:
+            channel = self.open_session()
+            channel.exec_command(command)
+        except (paramiko.SSHException, EOFError, OSError) as problem:
+            if self.is_active():
+                cure = "is it out of memory or processes? try again, or restart it"
+                raise NotReady(f"the robot's sshd starts no command: {problem}", cure=cure) from problem
+            raise LinkLost("the connection was lost before the command started", cure=AGAIN) from problem
+        return channel
 
     def close(self) -> None:
-        """End the connection; a command that runs on it ends with `LinkLost`."""
-        _close(self._chain)
+        super().close()
+        self.packetizer.complete_handshake()  # else its timer keeps Python from ending for up to 15 s
 
-    def run(
-        self,
-        argv: tuple[str, ...],
-        *,
-        feed: Iterable[bytes] | None = (),
-        limit: float | None = 60.0,
-        sent: Teller | None = None,
-        heard: Hearer | None = None,
-    ) -> Result:
-        """Run a command and wait for its end.
 
-        ``feed`` becomes its standard input; ``None`` leaves that open and empty until the connection closes. ``limit``
-        is in seconds, and kept on the robot by ``timeout``, so that nothing runs on there. ``sent`` is told the bytes
-        of each piece that left; ``heard`` is given standard output as it comes, which then is not kept.
+class _Agent(AgentSSH):
+    """An ssh-agent at a socket of our choice: Paramiko's own knows SSH_AUTH_SOCK only. No agent, no keys."""
 
-        Raises:
-            LinkLost: the connection ended or fell silent.
-            TimedOut: ``limit`` passed.
-
-        """
-        bounded = argv if limit is None else ("timeout", "--kill-after=5", f"{limit:g}", *argv)
-        transport = self._chain[-1]
+    def __init__(self, path: str) -> None:
+        super().__init__()
+        sock = socket.socket(socket.AF_UNIX)
+        sock.settimeout(CONNECT)
         try:
-            channel = transport.open_session(timeout=CONNECT)
-            channel.exec_command(shlex.join(bounded))
-        except (paramiko.SSHException, EOFError, OSError) as problem:
-            raise LinkLost("the connection was lost before the command started", cure=_AGAIN) from problem
-        with contextlib.closing(channel):
-            exchange = Exchange(channel=channel, transport=transport, silence=SILENCE)
-            code = exchange.run(feed=feed, limit=limit, sent=sent, heard=heard)
-        if code in (124, 137) and limit is not None:
-            raise TimedOut(f"`{argv[0]}` took longer than {limit:g} s and was ended on the robot")
-        return Result(code=code, output=exchange.output, errors=exchange.errors)
+            sock.connect(path)
+            self._connect(sock)  # type: ignore[attr-defined]
+        except (OSError, paramiko.SSHException):
+            sock.close()
+
+    def close(self) -> None:
+        self._close()  # type: ignore[attr-defined]
 
 
-def connect(robot: Robot) -> Session:
-    """Log in to a robot.
+class _Way:
+    """The connections to a robot, each made through the one before; the last is the robot's."""
 
-    Raises:
-        Unreachable, UntrustedHostKey, LoginRefused: each with its cause and cure.
-        DesktopError: this computer has no OpenSSH client.
+    def __init__(self, recorded: Path, *, patience: float, silence: float) -> None:
+        self.chain: list[_Transport] = []
+        self._recorded = recorded
+        self._patience = patience
+        self._silence = silence
 
-    """
-    destination = sshconfig.resolve(robot)
-    known = hostkeys.read((robot.known_hosts, *destination.known_hosts))
-    for attempt in range(1, ATTEMPTS + 1):
-        chain: list[paramiko.Transport] = []
+    def close(self) -> None:
+        """End them all."""
+        close(self.chain)
+
+    def reach(self, stop: Destination) -> tuple[HostKey, KnownHosts]:
+        """Connect to an sshd. The host key it proved to own, and what is on record."""
+        known = hostkeys.read((self._recorded, *stop.known_hosts))
+        for attempt in range(1, ATTEMPTS + 1):
+            stream = self._stream(stop)
+            transport = _Transport(stream, prefer=known.algorithms(stop.known_as), patience=self._patience)
+            self.chain.append(transport)
+            try:
+                transport.start_client(timeout=self._patience)
+                key = transport.get_remote_server_key()
+            except (paramiko.SSHException, EOFError, OSError) as problem:
+                silent = transport.is_active()
+                self.chain.pop().close()
+                transport.join(1)
+                stream.close()
+                if silent or attempt == ATTEMPTS or not isinstance(problem.__context__, EOFError | OSError):
+                    raise _unreachable(stop, stream, transport, problem, silent=silent) from problem
+                time.sleep(random.uniform(0.2, 1) * attempt)  # noqa: S311  a burst must not come back as one
+            else:
+                return HostKey(kind=key.get_name(), blob=key.asbytes()), known
+        raise AssertionError("the last attempt returns or raises")
+
+    def log_in(self, stop: Destination, *, jump: bool) -> None:
+        """Connect to an sshd, check its host key, prove who we are."""
+        key, known = self.reach(stop)
+        hostkeys.check(key, name=stop.known_as, known=known, jump=jump)
+        refusals: list[str] = []
+        with contextlib.closing(_Agent(stop.agent)) as agent:
+            for label, load in _keys(stop, agent):
+                if not (refusal := self._refusal(stop, label, load)):
+                    return
+                refusals.append(refusal)
+        cure = f"ssh-copy-id {stop.login}"
+        if not refusals:
+            self._ask_what_it_takes(stop)
+            refusals, cure = ["there is no key in ~/.ssh and none in the agent"], f"ssh-keygen, then {cure}"
+        raise LoginRefused(f"{stop.host} does not let {stop.user} in: {', '.join(refusals)}", cure=cure)
+
+    def _refusal(self, stop: Destination, label: str, load: Callable[[], paramiko.PKey]) -> str:
+        """Why this key does not let us in; empty if it did."""
+        transport, answered = self.chain[-1], threading.Event()
         try:
-            _log_in(destination, known=known, chain=chain)
-        except Unreachable as problem:
-            _close(chain)
-            if attempt == ATTEMPTS or not isinstance(problem.__cause__, _DROPPED):
-                raise
-            time.sleep(random.uniform(0.3, 1.0) * attempt)  # noqa: S311  jitter: a burst must not come back as one
-        except BaseException:
-            _close(chain)
-            raise
-        else:
-            return Session(robot=robot, chain=tuple(chain))
-    raise AssertionError("the last attempt returns or raises")
+            transport.auth_publickey(stop.user, load(), answered)
+        except TypeError:  # how the cryptography library says that it wants a passphrase
+            return f"{label} has a passphrase (`ssh-add {label}` unlocks it)"
+        except Exception as problem:  # noqa: BLE001  a key file may hold anything
+            return f"{label} cannot be used ({str(problem).partition('. ')[0]})"
+        if not answered.wait(self._patience):
+            raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN)
+        if transport.is_authenticated():
+            return ""
+        raised = transport.get_exception()
+        if isinstance(raised, paramiko.BadAuthenticationType):
+            raise _takes_no_keys(stop, raised) from raised
+        if isinstance(raised, PartialAuthentication):
+            more = " and ".join(raised.allowed_types)
+            raise LoginRefused(
+                f"{stop.host} takes {label}, and wants {more} as well", cure="let a key be enough"
+            )
+        if not transport.is_active():
+            what = f"{stop.host} ends the login of {stop.user} at {label}" + (
+                f" ({raised})" if raised else ""
+            )
+            raise LoginRefused(what, cure="if many keys were offered before, set identity_file")
+        return f"{label} is refused"
 
-
-def offered_key(robot: Robot) -> tuple[str, hostkeys.HostKey]:
-    """The name ``known_hosts`` files keep this robot under, and the key it offers now; nobody logs in.
-
-    Raises:
-        Unreachable, DesktopError: as for `connect`.
-
-    """
-    destination = sshconfig.resolve(robot)
-    known = hostkeys.read((robot.known_hosts, *destination.known_hosts))
-    chain: list[paramiko.Transport] = []
-    try:
-        return destination.known_as, _exchange_keys(destination, known=known, chain=chain)
-    finally:
-        _close(chain)
-
-
-_AGAIN = "see that the robot has power and signal, then run the same command again"
-_DROPPED = (paramiko.SSHException, EOFError, ConnectionResetError, BrokenPipeError)
-
-
-def _close(chain: Iterable[paramiko.Transport]) -> None:
-    for transport in reversed(tuple(chain)):
-        transport.close()
-
-
-def _log_in(destination: Destination, *, known: KnownHosts, chain: list[paramiko.Transport]) -> None:
-    """Exchange keys, check the robot's, prove who we are. Adds what it opens to ``chain``, jump hosts first."""
-    key = _exchange_keys(destination, known=known, chain=chain)
-    hostkeys.check(key, name=destination.known_as, known=known)
-    transport, who = chain[-1], f"{destination.user}@{destination.host}"
-    refusals: list[str] = []
-    for path, load in _keys(destination):
+    def _ask_what_it_takes(self, stop: Destination) -> None:
         try:
-            transport.auth_publickey(destination.user, load())
+            self.chain[-1].auth_none(stop.user)
         except paramiko.BadAuthenticationType as problem:
-            offered = " or ".join(problem.allowed_types)
-            cure = f"allow keys in the robot's sshd_config, then ssh-copy-id -p {destination.port} {who}"
-            raise LoginRefused(f"{who} takes {offered} only; fleet logs in with keys", cure=cure) from problem
-        except paramiko.PasswordRequiredException:
-            refusals.append(f"{path} is encrypted (`ssh-add {path}` unlocks it)")
-        except paramiko.AuthenticationException:
-            refusals.append(f"{path} was refused")
-        except (paramiko.SSHException, EOFError, OSError, ValueError) as problem:
-            if not transport.is_active():
-                raise LoginRefused(
-                    f"{who} ended the login", cure="it may have been offered too many keys: set identity_file"
-                ) from problem
-            refusals.append(f"{path} cannot be used ({problem})")
-        else:
-            return
-    tried = "; ".join(refusals) or "there is no key in ~/.ssh and none in the agent"
-    raise LoginRefused(f"{who} lets nobody in: {tried}", cure=f"ssh-copy-id -p {destination.port} {who}")
+            if "publickey" not in problem.allowed_types:
+                raise _takes_no_keys(stop, problem) from problem
+        except (paramiko.SSHException, EOFError, OSError) as problem:
+            raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN) from problem
+
+    def _stream(self, stop: Destination) -> Stream:
+        if not self.chain:
+            if stop.proxy_command:
+                return ProxySocket(stop.proxy_command)
+            return tcp.connect(stop.host, stop.port, patience=self._patience, silence=self._silence)
+        target, here = (stop.host, stop.port), ("127.0.0.1", 0)
+        try:
+            return self.chain[-1].open_channel("direct-tcpip", target, here, timeout=self._patience)
+        except (paramiko.SSHException, EOFError, OSError) as problem:
+            reason = getattr(problem, "text", "") or problem
+            what = f"{stop.host}:{stop.port} cannot be reached from the jump host: {reason}"
+            raise Unreachable(what, cure="is it on, and does the jump host allow forwarding?") from problem
 
 
-def _keys(destination: Destination) -> Iterator[tuple[str, Callable[[], paramiko.PKey]]]:
-    """The keys to try, in OpenSSH's order: the agent's (only the named ones under IdentitiesOnly), then files."""
-    named = {_public_blob(path) for path in destination.identity_files}
-    for key in paramiko.Agent().get_keys():
-        if destination.agent or key.asbytes() in named:
-            yield f"the agent's {key.fingerprint}", partial(_same, key)
-    for path in destination.identity_files:
-        yield str(path), partial(paramiko.PKey.from_path, path)
+def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], paramiko.PKey]]]:
+    """The keys to try, in OpenSSH's order: the agent's, those that are named first; then the files it does not hold."""
+    files = {keyfile.public_half(path) or str(path).encode(): path for path in stop.identity_files}
+    held = {key.asbytes(): key for key in agent.get_keys()}
+    for blob in sorted(held, key=lambda blob: blob not in files):
+        if blob in files or not stop.only_named:
+            yield f"the agent's key {files.get(blob) or held[blob].comment}", partial(_same, held[blob])
+    for blob, path in files.items():
+        if blob not in held:
+            yield str(path), partial(paramiko.PKey.from_path, path)
 
 
 def _same(key: paramiko.PKey) -> paramiko.PKey:
     return key
 
 
-def _public_blob(private: Path) -> bytes:
-    with contextlib.suppress(OSError, IndexError, ValueError):
-        return base64.b64decode(private.with_name(private.name + ".pub").read_text().split()[1])
-    return b""
+def _takes_no_keys(stop: Destination, problem: paramiko.BadAuthenticationType) -> LoginRefused:
+    what = f"{stop.host} lets {stop.user} in by {' or '.join(problem.allowed_types)} only, and fleet logs in with keys"
+    return LoginRefused(
+        what, cure=f"allow keys (PubkeyAuthentication) in its sshd_config, then ssh-copy-id {stop.login}"
+    )
 
 
-def _exchange_keys(
-    destination: Destination, *, known: KnownHosts, chain: list[paramiko.Transport]
-) -> HostKey:
-    """Open a transport to the robot's sshd, add it to ``chain``, and return the host key it proved to own."""
-    where = f"{destination.host}:{destination.port}"
-    sock = _route(destination, known=known, chain=chain)
-    try:
-        transport = _Transport(sock)
-        chain.append(transport)
-        transport.daemon = True
-        transport.banner_timeout = transport.auth_timeout = transport.channel_timeout = CONNECT
-        if kinds := _algorithms(known.kinds(destination.known_as)):
-            # Ask for a type we know: a host with several keys would else look like another host (paramiko #2411).
-            options = transport.get_security_options()
-            options.key_types = (*kinds, *(kind for kind in options.key_types if kind not in kinds))
-        transport.start_client(timeout=CONNECT)
-    except _DROPPED as problem:
-        raise Unreachable(
-            f"{where} answers, but not as an SSH server: {problem or 'it hung up'}"
-        ) from problem
-    key = transport.get_remote_server_key()
-    return HostKey(kind=key.get_name(), blob=key.asbytes())
-
-
-def _algorithms(kinds: tuple[str, ...]) -> tuple[str, ...]:
-    """Key types as ``known_hosts`` names them, as the algorithms that prove them (RFC 8332 for RSA)."""
-    pairs = (("rsa-sha2-512", "rsa-sha2-256") if kind == "ssh-rsa" else (kind,) for kind in kinds)
-    able = paramiko.Transport._key_info  # type: ignore[attr-defined]  # noqa: SLF001  has no public name
-    return tuple(name for pair in pairs for name in pair if name in able)
-
-
-def _route(destination: Destination, *, known: KnownHosts, chain: list[paramiko.Transport]) -> Stream:
-    """A byte stream to the robot's sshd: straight, through jump hosts (logging in to each), or by a ProxyCommand."""
-    if destination.proxy_command:
-        return paramiko.ProxyCommand(destination.proxy_command)
-    if not destination.jumps:
-        return tcp.connect(destination.host, destination.port, patience=CONNECT, silence=SILENCE)
-    *before, last = destination.jumps
-    jump = sshconfig.ask((), last if "://" in last else f"ssh://{last}")
-    _log_in(replace(jump, jumps=(*before, *jump.jumps)), known=known, chain=chain)
-    try:
-        target = (destination.host, destination.port)
-        return chain[-1].open_channel("direct-tcpip", target, ("127.0.0.1", 0), timeout=CONNECT)
-    except (paramiko.SSHException, EOFError) as problem:
-        raise Unreachable(
-            f"the jump host {last} cannot reach {target[0]}:{target[1]}: {problem}"
-        ) from problem
+def _unreachable(
+    stop: Destination, stream: Stream, transport: _Transport, problem: BaseException, *, silent: bool
+) -> Unreachable:
+    where = f"{stop.host}:{stop.port}"
+    if isinstance(stream, ProxySocket) and stream.said:
+        return Unreachable(f"the ProxyCommand to {where} fails: {stream.said}", cure="try `ssh` to it")
+    if transport.remote_version:
+        what = "stops answering in the key exchange" if silent else f"breaks off the key exchange: {problem}"
+        return Unreachable(f"{where} {what}", cure="is the robot overloaded, or its OpenSSH very old?")
+    if silent:
+        return Unreachable(
+            f"{where} accepts the connection and says nothing", cure="is the robot overloaded or frozen?"
+        )
+    cure = "is that sshd's port? a busy sshd (MaxStartups) and one that blocks this address hang up like this too"
+    return Unreachable(f"{where} hangs up, or is not an SSH server: {problem}", cure=cure)

@@ -1,0 +1,41 @@
+"""Which public key belongs to a private key file? So that a key held by an agent is found by the file's name."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import struct
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MAGIC = b"openssh-key-v1\0"
+
+
+def public_half(path: Path) -> bytes:
+    """The public key as it goes over the wire; empty where it cannot be told without a passphrase.
+
+    It is in the ``.pub`` file beside it (or in ``path`` itself, which may be one), or inside: OpenSSH's own format
+    leaves it readable.
+    """
+    beside = path if path.suffix == ".pub" else path.with_name(path.name + ".pub")
+    with contextlib.suppress(OSError, ValueError, IndexError, struct.error):
+        if beside.is_file():
+            return base64.b64decode(beside.read_text(encoding="utf-8").split()[1])
+        body = base64.b64decode("".join(path.read_text(encoding="utf-8").splitlines()[1:-1]))
+        if body.startswith(_MAGIC):
+            return _inside(body[len(_MAGIC) :])
+    return b""
+
+
+def _inside(body: bytes) -> bytes:
+    """Cipher, key derivation and its options as strings; the number of keys; the first public key (PROTOCOL.key)."""
+    for _ in range(3):
+        body = _string(body)[1]
+    return _string(body[4:])[0]
+
+
+def _string(body: bytes) -> tuple[bytes, bytes]:
+    (length,) = struct.unpack_from(">I", body)
+    return body[4 : 4 + length], body[4 + length :]

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from sshd import Sshd, Sshds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def sshds(tmp_path: Path) -> Iterator[Sshds]:
+    """Starts real SSH servers."""
+    servers = Sshds(tmp_path)
+    yield servers
+    servers.stop()
+
+
+@pytest.fixture
+def sshd(sshds: Sshds) -> Sshd:
+    """A real SSH server, its host key recorded."""
+    return sshds.start()
