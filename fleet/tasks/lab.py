@@ -14,7 +14,10 @@ DIRECTORY = Path(".lab")
 
 @verb({"count": "virtual Pis to have; default: 3"})
 def up(count: int = 3) -> None:
-    """Have virtual Pis on this computer: systemd, sshd, sudo, and no Docker yet."""
+    """Have virtual Pis on this computer to try things on.
+
+    They start as a fresh Raspberry Pi OS would: systemd, sshd, sudo, a login `pi`, no Docker. Those that are there stay.
+    """
     lab.up(count, directory=DIRECTORY, say=Screen().say)
 
 

@@ -1,0 +1,159 @@
+"""Which verbs change robots? Each selects robots, asks another module for a plan, and shows or applies it."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from fleet import build as builds
+from fleet import containers, image, script
+from fleet import provision as provisioning
+from fleet import release as releases
+from fleet import ship as shipping
+from fleet import trust as trusting
+from fleet.cli import verb
+from fleet.console import Screen
+from fleet.dockercli import buildkit_client
+from fleet.execute import execute, whoami
+from fleet.tasks.select import select
+
+if TYPE_CHECKING:
+    from fleet.facts import Facts
+    from fleet.inventory import Robot
+    from fleet.plan import Plan
+
+
+@verb({"yes": "record without asking", "changed": "also replace keys that have changed"})
+def trust(
+    hosts: str = "all",
+    yes: bool = False,
+    changed: bool = False,
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+) -> int:
+    """Show the robots' host keys and record them.
+
+    Compare the fingerprints with `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` on the robot. Every other verb
+    refuses robots whose key is unknown or has changed.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    with screen.progress() as show:
+        offers, missing = trusting.look(robots, watch=show)
+    new = trusting.to_record(offers, changed=changed)
+    for offer in new:
+        screen.say(offer.text())
+    if dry or not new or not (yes or screen.confirm(f"Record {len(new)} host keys?")):
+        new = ()
+    trusting.record(new)
+    outcomes = (*(trusting.outcome(offer, recorded=offer in new) for offer in offers), *missing)
+    return screen.result(outcomes, json=json)
+
+
+@verb()
+def provision(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Install Docker on robots, and prove that it runs.
+
+    Sets a wrong clock, runs Docker's convenience script, adds Compose, log limits and the login's right to use Docker,
+    and runs a container. Only what is not right yet is done.
+    """
+    fleet, robots = select(inventory, hosts)
+    wanted = {robot.docker for robot in robots}
+    scripts = {d: script.fetch(d.script, sha256=d.sha256, base=fleet.path.parent) for d in wanted}
+
+    def make(robot: Robot, facts: Facts) -> Plan:
+        return provisioning.plan(
+            robot=robot, facts=facts, script=scripts[robot.docker], now=time.time(), by=whoami()
+        )
+
+    return execute(robots, make, dry=dry, json=json, screen=Screen())
+
+
+@verb()
+def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> None:
+    """Build the stack's images for the robots' platforms.
+
+    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled.
+    """
+    fleet, robots = select(inventory, hosts)
+    screen, stack = Screen(), releases.read_stack(fleet.stack)
+    platforms = tuple(dict.fromkeys(robot.platform for robot in robots))
+    commands = builds.plan(stack=stack, platforms=platforms, client=buildkit_client())
+    if dry:
+        screen.json(commands) if json else screen.lines(builds.lines(commands))
+        return
+    for command in commands:
+        builds.run(command, say=screen.say)
+    with image.Store() as store:
+        found = [store.find(name, platform) for platform in platforms for name in stack.images.values()]
+    screen.images(found, json=json)
+
+
+@verb()
+def ship(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Send the images and releases, and start them.
+
+    Waits until every container is healthy; where one does not start, the release before it runs again. A second run
+    changes nothing.
+    """
+    fleet, robots = select(inventory, hosts)
+    stack = releases.read_stack(fleet.stack)
+    with image.Store() as store:
+        composed = {robot: releases.compose(robot=robot, stack=stack, find=store.find) for robot in robots}
+
+        def make(robot: Robot, facts: Facts) -> Plan:
+            return shipping.plan(robot=robot, release=composed[robot], facts=facts, by=whoami())
+
+        return execute(robots, make, dry=dry, json=json, screen=Screen(), open_feed=store.open)
+
+
+@verb({"to": "the release to go back to; default: the one that ran before"})
+def rollback(
+    hosts: str = "all", to: str = "", dry: bool = False, json: bool = False, inventory: str = ""
+) -> int:
+    """Go back to the release that ran before.
+
+    Or, with --to, to another one that the robot still has: `fab history` lists them.
+    """
+
+    def make(robot: Robot, facts: Facts) -> Plan:
+        return shipping.rollback(robot=robot, facts=facts, to=to, by=whoami())
+
+    return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen())
+
+
+@verb()
+def start(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Start the current release.
+
+    Waits until it is healthy.
+    """
+    return _contain("start", hosts=hosts, dry=dry, json=json, inventory=inventory)
+
+
+@verb()
+def stop(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Stop the current release.
+
+    It stays stopped over a reboot, until `fab start` or the next `fab ship`.
+    """
+    return _contain("stop", hosts=hosts, dry=dry, json=json, inventory=inventory)
+
+
+@verb()
+def restart(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Restart the current release.
+
+    Waits until it is healthy.
+    """
+    return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory)
+
+
+VERBS = (trust, provision, build, ship, rollback, start, stop, restart)
+
+
+def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, inventory: str) -> int:
+    def make(robot: Robot, facts: Facts) -> Plan:
+        return containers.plan(verb, robot=robot, facts=facts, by=whoami())
+
+    return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen())

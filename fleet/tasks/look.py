@@ -1,0 +1,158 @@
+"""Which verbs look at robots, or talk with them? None of them changes what a robot runs."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from fleet import containers, sshconfig
+from fleet import follow as following
+from fleet import status as states
+from fleet.cli import verb
+from fleet.console import Screen, Silence
+from fleet.errors import Mistake
+from fleet.execute import keep_observing, observe
+from fleet.tasks.select import select
+
+if TYPE_CHECKING:
+    from fleet.facts import Facts
+    from fleet.inventory import Robot
+
+
+@verb()
+def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> None:
+    """Show each robot with its merged values.
+
+    What the inventory says of it: defaults, then its groups, then its own.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    if json:
+        screen.json([robot.model_dump(mode="json") for robot in robots])
+    else:
+        screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
+
+
+@verb({"watch": "keep the table up to date, until Ctrl-C"})
+def status(hosts: str = "all", watch: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Show release, health, Docker, disk, temperature.
+
+    The exit code is 0 when every robot answers and all its containers are well.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    seen = observe(robots, watch=Silence())
+    if json:
+        screen.json({name: states.record(what) for name, what in seen.items()})
+    elif watch:
+        with screen.live(states.COLUMNS, lambda: [states.row(name, what) for name, what in seen.items()]):
+            keep_observing(robots, seen, every=2.0, watch=Silence())
+    else:
+        screen.table(states.COLUMNS, [states.row(name, what) for name, what in seen.items()])
+    return 0 if watch or all(states.good(what) for what in seen.values()) else 1
+
+
+@verb({"tail": "events to show of each robot; default: 10"})
+def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: str = "") -> int:
+    """Show who shipped what, when, and its outcome.
+
+    Each robot keeps its own, in ~/.fleet/history.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    seen = observe(robots, watch=Silence())
+    events = {name: states.events(what)[-tail:] for name, what in seen.items()}
+    if json:
+        screen.json(events)
+    else:
+        screen.table(
+            states.EVENT_COLUMNS, [states.event_row(name, e) for name in events for e in events[name]]
+        )
+    return screen.problems(states.problems(seen))
+
+
+@verb(
+    {
+        "follow": "go on with what they say from now on, until Ctrl-C",
+        "tail": "lines from the end of each container's log, or all; default: 20",
+        "since": "only what was said since then: 10m, 2h, 2026-11-23T12:00:00",
+        "service": "only this service of the stack",
+    }
+)
+def logs(
+    hosts: str = "all",
+    follow: bool = False,
+    tail: str = "20",
+    since: str = "",
+    service: str = "",
+    inventory: str = "",
+) -> int:
+    """Show what the robots' containers print.
+
+    All robots merged, each line with the name of its robot.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    printer = screen.prefixed([robot.name for robot in robots])
+
+    def argv(robot: Robot, facts: Facts) -> tuple[str, ...]:
+        return containers.logs(
+            robot=robot, facts=facts, follow=follow, tail=tail, since=since, service=service
+        )
+
+    return screen.problems(following.logs(robots, argv, follow=follow, printer=printer, watch=Silence()))
+
+
+@verb(
+    {
+        "command": "a line for the robots' shell; also after --",
+        "limit": "seconds it may take, 0: any; default: 60",
+    },
+    positional="command",
+)
+def run(command: str = "", hosts: str = "all", limit: int = 60, inventory: str = "") -> int:
+    """Run a command on robots: fab run -- uptime.
+
+    It is a line for their shell, run as the login. The exit code is 1 where it fails on one.
+    """
+    if not command:
+        raise Mistake("there is no command to run", cure="fab run --hosts NAMES -- COMMAND")
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    printer = screen.prefixed([robot.name for robot in robots])
+    return screen.problems(following.run(robots, command, limit=limit, printer=printer, watch=Silence()))
+
+
+@verb({"hosts": "one robot"})
+def shell(hosts: str, inventory: str = "") -> None:
+    """Log in to one robot.
+
+    With OpenSSH, and the host keys that `fab trust` recorded.
+    """
+    robots = select(inventory, hosts)[1]
+    if len(robots) != 1:
+        raise Mistake(
+            f"a shell goes to one robot, and {hosts} names {len(robots)}", cure="fab shell --hosts NAME"
+        )
+    argv = sshconfig.login(robots[0])
+    os.execvp(argv[0], argv)  # noqa: S606  the terminal becomes ssh's
+
+
+@verb(
+    {
+        "topic": "the topic; default: /time",
+        "count": "messages from each robot, 0: until Ctrl-C; default: 0",
+        "timeout": "seconds of silence that are a failure; default: 10",
+    }
+)
+def listen(
+    hosts: str = "all", topic: str = "/time", count: int = 0, timeout: int = 10, inventory: str = ""
+) -> int:
+    """Show a topic's messages as they arrive here.
+
+    Without ROS on this computer. Where none arrive, it says why: a name that does not resolve, a loopback address, a
+    closed port, a silent topic.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    printer = screen.prefixed([robot.name for robot in robots])
+    return screen.problems(
+        following.topics(robots, topic, count=count, timeout=timeout, printer=printer, watch=Silence())
+    )
+
+
+VERBS = (inventory, status, history, logs, run, shell, listen)
