@@ -28,8 +28,8 @@ def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
     """
     release = _current(facts, robot=robot)
     running = [container for container in facts.containers if container.state == "running"]
-    healthy = bool(running) and all(container.healthy for container in facts.containers)
-    if verb == "start" and healthy:
+    good = [container.healthy and container.release == release for container in facts.containers]
+    if verb == "start" and good and all(good):
         return Plan(robot=robot.name, summary=f"release {release} runs")
     if verb == "stop" and not running:
         return Plan(robot=robot.name, summary=f"release {release} is stopped")

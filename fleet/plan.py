@@ -52,6 +52,7 @@ class Step:
     ``limit`` is in seconds; the command is ended on the robot when it passes. ``None`` trusts the link's own liveness,
     for commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without
     surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login).
+    A ``harmless`` one touches nothing that runs: when it fails, there is nothing to recover yet.
     """
 
     title: str
@@ -61,6 +62,7 @@ class Step:
     cure: str = ""
     limit: float | None = 60.0
     fresh_login: bool = False
+    harmless: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +78,8 @@ class Record:
 class Plan:
     """What will be done to one robot.
 
-    ``explain`` runs when a step fails, and what it prints is added to the reason (a container's last log lines).
-    ``recover`` runs after that and brings back what ran before. A plan without steps leaves the robot as it is, and
+    ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added
+    to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. A plan without steps leaves the robot as it is, and
     ``summary`` says why; otherwise ``summary`` says what the robot will have become.
     """
 

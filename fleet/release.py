@@ -165,7 +165,8 @@ def _quoted(value: str) -> str:
 def _override(*, stack: Stack, images: Mapping[str, Image], labels: Mapping[str, str]) -> str:
     """The pins of a release. JSON is YAML, and quotes itself."""
     services = {
-        name: {"image": image.shipped_as, "platform": image.platform, "labels": labels} for name, image in images.items()
+        name: {"image": image.shipped_as, "platform": image.platform, "labels": labels}
+        for name, image in images.items()
     }
     return json.dumps({"name": stack.name, "services": services}, indent=2) + "\n"
 
@@ -191,16 +192,28 @@ def _build(value: object, *, folder: Path, where: str) -> Build:
     said = {"context": value} if isinstance(value, str) else value
     if not isinstance(said, dict):
         raise ComposeError(f"{where}.build: is neither a path nor a mapping", cure="see Compose's `build:`")
-    context = (folder / str(said.get("context", "."))).resolve()
-    arguments = said.get("args") or {}
-    pairs = (
-        list(arguments.items())
-        if isinstance(arguments, dict)
-        else [str(pair).split("=", 1) for pair in arguments]
-    )
+    context = (folder / str(said.get("context") or ".")).resolve()
     return Build(
         context=context,
-        dockerfile=context / str(said.get("dockerfile", "Dockerfile")),
-        target=str(said.get("target", "")),
-        arguments=tuple((str(pair[0]), str(pair[1])) for pair in pairs if len(pair) == 2),
+        dockerfile=context / str(said.get("dockerfile") or "Dockerfile"),
+        target=str(said.get("target") or ""),
+        arguments=_arguments(said.get("args") or {}, where=where),
+    )
+
+
+def _arguments(said: object, *, where: str) -> tuple[tuple[str, str], ...]:
+    """Build arguments, of a mapping or a list of ``NAME=value``; one without a value is left to the Dockerfile."""
+    if isinstance(said, dict):
+        pairs = [(str(name), value) for name, value in said.items() if value is not None]
+    elif isinstance(said, list):
+        pairs = [
+            (name, value) for name, equals, value in (str(pair).partition("=") for pair in said) if equals
+        ]
+    else:
+        raise ComposeError(
+            f"{where}.build.args: is neither a mapping nor a list", cure="see Compose's `build:`"
+        )
+    # YAML's true is Python's True.
+    return tuple(
+        (name, str(value).lower() if isinstance(value, bool) else str(value)) for name, value in pairs
     )

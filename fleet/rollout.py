@@ -125,12 +125,14 @@ def apply(plan: Plan, line: Line, *, open_feed: Callable[[Feed], Iterable[bytes]
         sent += count
         watch.sent(plan.robot, count)
 
+    touched = False
     for step in plan.steps:
+        touched = touched or not step.harmless
         watch.began(plan.robot, step.title, step.feed.size if step.feed else None)
         try:
             _do(step, line, open_feed=open_feed, tell=tell)
         except RobotError as problem:
-            reason, cure = _aftermath(plan, problem, line, watch=watch)
+            reason, cure = _aftermath(plan, problem, line, watch=watch, touched=touched)
             return Outcome(
                 robot=plan.robot, status="failed", step=step.title, reason=reason, cure=cure, sent=sent
             )
@@ -202,8 +204,8 @@ def _do(
     feed = open_feed(step.feed) if step.feed else ()
     result = line.session.run(step.argv, feed=feed, limit=step.limit, sent=tell)
     output = _succeed(step.argv, result, cure=step.cure)
-    # A robot whose login scripts print puts that before the answer.
-    if step.expect is not None and not output.strip().endswith(step.expect.strip()):
+    # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".
+    if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
         said = output.strip().splitlines()[-1:] or ["nothing"]
         raise NotAsPlanned(f"the proof fails: it says {said[0][:200]!r}", cure=step.cure)
 
@@ -221,17 +223,22 @@ def _succeed(argv: Sequence[str], result: ssh.Result, *, cure: str = "") -> str:
     )
 
 
-def _aftermath(plan: Plan, problem: RobotError, line: Line, *, watch: Watch) -> tuple[str, str]:
-    """Ask why, start what ran before, note the failure. Returns the reason, with all that was learned, and the cure."""
+def _aftermath(
+    plan: Plan, problem: RobotError, line: Line, *, watch: Watch, touched: bool
+) -> tuple[str, str]:
+    """Ask why, start what ran before (where that was ``touched``), note the failure.
+
+    Returns the reason, with all that was learned, and the cure.
+    """
     reason = problem.what
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
         line.afresh()
     if isinstance(problem, LinkLost | Unreachable):
         return reason, problem.cure or "run the same command again when the robot is back"
-    for step in plan.explain:
+    for step in plan.explain if touched else ():
         if said := _ask(step, line):
             reason += "\n" + said
-    for step in plan.recover:
+    for step in plan.recover if touched else ():
         watch.began(plan.robot, step.title, None)
         try:
             _do(step, line, open_feed=lambda _: (), tell=lambda _: None)

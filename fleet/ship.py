@@ -36,7 +36,8 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     """
     ready(facts, robot=robot)
     missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
-    if facts.current == release.id and not missing and _runs(release, facts):
+    there = facts.current == release.id and release.id in facts.releases
+    if there and not missing and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     _room(missing, facts=facts)
     size = human_bytes(sum(image.size for image in missing))
@@ -74,7 +75,8 @@ def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
     if target not in facts.releases:
         cure = f"it has: {', '.join(facts.releases) or 'none'}"
         raise NotReady(f"release {target} is not on this robot", cure=cure)
-    if target == facts.current and all(c.healthy and c.release == target for c in facts.containers):
+    running = [container.release == target and container.healthy for container in facts.containers]
+    if target == facts.current and running and all(running):
         return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(
         robot=robot.name,
@@ -136,6 +138,7 @@ def _check(robot: Robot, release: str) -> Step:
         title="let the robot's Compose check the release",
         argv=layout.compose(robot, release, "config", "--quiet"),
         limit=30.0,
+        harmless=True,
         cure="mend the Compose file or the robot's values in the inventory",
     )
 
@@ -146,6 +149,7 @@ def _load(image: Image) -> Step:
         argv=("docker", "load", "--quiet"),
         feed=ImageArchive(image=image.reference, reference=image.shipped_as, size=image.size),
         limit=None,
+        harmless=True,
     )
 
 
@@ -155,13 +159,19 @@ def _prove(image: Image) -> Step:
         title="prove that what arrived is what was sent",
         argv=("docker", "image", "inspect", "--format", IDENTITY, image.shipped_as),
         expect=image.identity,
+        harmless=True,
         cure="run the same command again",
     )
 
 
 def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
-    """Start again what ran before; where nothing did, stop what failed rather than let it restart for ever."""
-    if facts.current == failed or facts.current not in facts.releases:
+    """Start again what ran before; where nothing did, stop what failed rather than let it restart for ever.
+
+    A release that was current already is left to Docker: it may be healthy a minute later.
+    """
+    if facts.current == failed:
+        return ()
+    if facts.current not in facts.releases:
         return (layout.stop(robot, failed),)
     return (layout.up(robot, facts.current, wait=HEALTHY_WITHIN),)
 
