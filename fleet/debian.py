@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 MIRROR = "http://deb.debian.org"
 REGISTRY_ANSWERS_IN = 8.0  # seconds; a registry that is there names the image within one or two
+NEWEST_FILE = (
+    "1735689600"  # 2025-01-01: what the build itself writes is dated so, for the same bytes every time
+)
 PULL_TAKES = 600.0  # seconds, for 30 MB over a slow line
 BOOTSTRAP_TAKES = 1800.0  # seconds, for 100 MB over a slow line and emulated unpacking
 
@@ -88,7 +91,8 @@ def ensure(suite: str, platform: str, *, say: Callable[[str], None]) -> str:
 def cached_rootfs(base: Base) -> Path:
     """Where the packed root file system is kept between clones; a changed recipe gets another name."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet"
-    recipe = hashlib.sha256("\0".join(_bootstrap_command(base, Path("-"))).encode()).hexdigest()[:8]
+    parts = (*_bootstrap_command(base, Path("-")), NEWEST_FILE)
+    recipe = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:8]
     return cache / f"debian-{base.suite}-{base.architecture}-{recipe}.tar"
 
 
@@ -110,7 +114,7 @@ def bootstrap(base: Base, rootfs: Path) -> None:
 
 def _run_mmdebstrap(base: Base, rootfs: Path) -> None:
     command = _bootstrap_command(base, rootfs)
-    environment = os.environ | {"SOURCE_DATE_EPOCH": "0"}
+    environment = os.environ | {"SOURCE_DATE_EPOCH": NEWEST_FILE}
     try:
         done = subprocess.run(
             command,
@@ -157,22 +161,30 @@ def _bootstrap_command(base: Base, rootfs: Path) -> tuple[str, ...]:
     )
 
 
+# What mmdebstrap and apt say when they cannot, and what cures it.
+_CURES = (
+    (
+        ("resolve", "failed to fetch", "could not connect", "timed out"),
+        f"see whether {MIRROR} can be reached from here",
+    ),
+    (("newuidmap", "newgidmap", "subuid", "unshare"), "install the uidmap package, or run this once as root"),
+    (("no_pubkey", "not signed", "keyring"), "install the debian-archive-keyring package"),
+    (("no space left",), "free some disk"),
+    (("permission denied",), "see whether /tmp is mounted noexec, and set TMPDIR to a folder that is not"),
+)
+
+
 def _bootstrap_refusal(base: Base, said: str) -> DesktopError:
-    signs = (
-        (
-            "resolve|failed to fetch|could not connect|timed out",
-            f"see whether {MIRROR} can be reached from here",
-        ),
-        ("newuidmap|newgidmap|subuid|unshare", "install the uidmap package, or run this once as root"),
-        ("no_pubkey|not signed|keyring", "install the debian-archive-keyring package"),
-        ("no space left", "free some disk"),
+    lines = said.splitlines()
+    known = (
+        (line, cure)
+        for words, cure in _CURES
+        for line in lines
+        if any(word in line.lower() for word in words)
     )
-    found = (cure for words, cure in signs if any(word in said.lower() for word in words.split("|")))
-    reasons = [line for line in said.splitlines() if line.startswith("E:")] or said.splitlines()
-    return DesktopError(
-        f"building {base.tag} with mmdebstrap failed: {' '.join(reasons[-2:])}".rstrip("."),
-        cure=next(found, ""),
-    )
+    last = [line for line in lines if line.startswith("E:")] or lines or ["it said nothing"]
+    reason, cure = next(known, (last[-1], ""))
+    return DesktopError(f"building {base.tag} with mmdebstrap failed: {reason[:300]}".rstrip("."), cure=cure)
 
 
 def write_archive(rootfs: Path, base: Base, out: IO[bytes]) -> None:

@@ -62,7 +62,7 @@ def run_command(pi: VirtualPi, *, image: str, network: str, labels: tuple[str, .
         *(part for right in rights for part in ("--cap-add", right)),
         *(part for setting in confinement for part in ("--security-opt", setting)),
         # Its own part of the control groups; with the desktop's whole tree, systemd would rearrange that.
-        *("--cgroupns", "private", "--tmpfs", "/run", "--tmpfs", "/tmp"),  # noqa: S108 - the Pi's own
+        *("--cgroupns", "private", "--tmpfs", "/run:exec", "--tmpfs", "/tmp:exec,mode=1777"),  # noqa: S108 - the Pi's own
         *("--volume", f"{pi.volume}:/var/lib/docker"),
         # `sudo reboot` in the Pi ends the container like a failure does; after `docker stop` it stays off.
         *("--restart", "on-failure", "--stop-timeout", str(STOP_TAKES)),

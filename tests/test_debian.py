@@ -113,6 +113,7 @@ def test_without_mmdebstrap_the_cure_is_named(tmp_path: Path, monkeypatch: pytes
         ),
         ("E: newuidmap is not installed or not in PATH", "uidmap"),
         ("W: GPG error: NO_PUBKEY 6ED0E7B82643E131", "debian-archive-keyring"),
+        ("chroot: failed to run command dpkg: Permission denied", "noexec"),
     ],
 )
 def test_a_failed_bootstrap_says_why_and_leaves_nothing(
