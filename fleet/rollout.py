@@ -7,6 +7,7 @@ robot's failure is its outcome, never the others'. Ctrl-C closes every connectio
 from __future__ import annotations
 
 import queue
+import re
 import threading
 import time
 from dataclasses import replace
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 AT_ONCE = 32
 """Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
+
+
+_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
+"""Terminal control sequences: Compose writes some into logs even where no terminal reads them."""
 
 
 class Watch(Protocol):
@@ -251,7 +256,7 @@ def _aftermath(
 
 def _ask(step: Step, line: Line) -> str:
     try:
-        return line.session.run(step.argv, limit=step.limit).output.strip()
+        return _CONTROL.sub("", line.session.run(step.argv, limit=step.limit).output).strip()
     except RobotError:
         return ""
 
