@@ -18,7 +18,7 @@ from fleet.errors import DesktopError, ImageError
 from fleet.plan import ImageArchive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Generator, Iterable
     from types import ModuleType
 
     import docker
@@ -131,7 +131,7 @@ class Store:
         """The bytes of a step's feed: an image's archive comes out of the engine as it is read."""
         return self.archive(feed.image, feed.reference) if isinstance(feed, ImageArchive) else (feed.data,)
 
-    def archive(self, local: str, reference: str) -> Iterator[bytes]:
+    def archive(self, local: str, reference: str) -> Generator[bytes]:
         """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.
 
         Raises:
