@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 Verb = Literal["start", "stop", "restart"]
 
-_UNTIL_CLOSED = '"$@" & child=$!; cat > /dev/null; kill "$child" 2>/dev/null'
-"""Ends a command when its standard input closes, which is when the connection does: a follower must not live on."""
+_UNTIL_CLOSED = 'exec 3<&0; "$@" & child=$!; { cat <&3; kill "$child"; } > /dev/null 2>&1 & wait "$child"'
+"""Runs a command until it ends, or until standard input closes, as it does with the connection: nothing follows on."""
 
 
 def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
