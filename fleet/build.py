@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fleet.release import Build, Stack
 
 _DEBIAN = re.compile(
-    r"^\s*ARG\s+(\w+)=[\"']?(?:docker\.io/library/)?debian:(\w+)-slim[\"']?\s*$", re.MULTILINE
+    r"^\s*(?i:ARG)\s+(\w+)=[\"']?(?:docker\.io/library/)?debian:(\w+)-slim[\"']?\s*$", re.MULTILINE
 )
 
 
@@ -47,15 +47,16 @@ def plan(*, stack: Stack, platforms: Iterable[str], client: Sequence[str]) -> tu
         ComposeError: a Dockerfile is missing.
 
     """
+    # Services may share an image, and one of them may say how it is built.
+    builds = {stack.images[service]: build for service, build in stack.builds.items()}
     commands: list[Command] = []
     for platform in dict.fromkeys(platforms):
-        for service, image in stack.images.items():
+        for image in dict.fromkeys(stack.images.values()):
             reference = tagged_for(image, platform)
-            if any(command.reference == reference for command in commands):
-                continue
-            build = stack.builds.get(service)
-            new = _build(build, reference, platform, client) if build else _pull(image, reference, platform)
-            commands += new
+            if image in builds:
+                commands.append(_build(builds[image], reference, platform, client))
+            else:
+                commands += _pull(image, reference, platform)
     return tuple(commands)
 
 
@@ -81,22 +82,20 @@ def lines(commands: Iterable[Command]) -> list[str]:
     return [text for command in commands for text in (command.title, f"  $ {shlex.join(command.argv)}")]
 
 
-def _build(build: Build, reference: str, platform: str, client: Sequence[str]) -> list[Command]:
+def _build(build: Build, reference: str, platform: str, client: Sequence[str]) -> Command:
     bases = _bases(build, platform)
     arguments = [*build.arguments, *((name, base.tag) for name, base in bases.items())]
     options = [part for name, value in arguments for part in ("--build-arg", f"{name}={value}")]
     if build.target:
         options += ["--target", build.target]
     where = ("--file", str(build.dockerfile), str(build.context))
-    return [
-        Command(
-            title=f"build {reference} for {platform}",
-            argv=(*client, "build", "--platform", platform, "--tag", reference, *options, *where),
-            reference=reference,
-            platform=platform,
-            bases=tuple(bases.values()),
-        )
-    ]
+    return Command(
+        title=f"build {reference} for {platform}",
+        argv=(*client, "build", "--platform", platform, "--tag", reference, *options, *where),
+        reference=reference,
+        platform=platform,
+        bases=tuple(bases.values()),
+    )
 
 
 def _bases(build: Build, platform: str) -> dict[str, Base]:
@@ -114,7 +113,7 @@ def _bases(build: Build, platform: str) -> dict[str, Base]:
 
 def _text(dockerfile: Path) -> str:
     try:
-        return dockerfile.read_text(encoding="utf-8")
+        return dockerfile.read_text(encoding="utf-8", errors="replace")
     except OSError as problem:
         cure = "`build:` in the Compose file says where it is"
         raise ComposeError(f"cannot read {dockerfile}: {problem.strerror}", cure=cure) from problem
