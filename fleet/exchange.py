@@ -96,11 +96,12 @@ class Exchange:
 
         """
         self._channel.settimeout(TICK)
-        sender = threading.Thread(target=self._send, args=(() if feed is None else feed, sent), daemon=True)
         deadline = float("inf") if limit is None else time.monotonic() + limit + GRACE
         try:
-            if feed is not None:
-                sender.start()
+            if feed == ():
+                self._end_input()
+            elif feed is not None:
+                threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
             self._listen(heard or self._out.append, deadline=deadline)
             return self._code()
         except BaseException:
@@ -109,9 +110,8 @@ class Exchange:
 
     def _listen(self, heard: Hearer, *, deadline: float) -> None:
         """Take what comes until the command has ended and all it wrote is here."""
-        ended: float | None = None
-        # A stalled link looks like an output held open, so the robot must have been heard since.
-        while ended is None or not ended < self._alive <= time.monotonic() - LINGER:
+        ended: float | None = None  # or when something was heard after the end
+        while ended is None or self._lingers(ended):
             self._watch(deadline=deadline)
             self._hear_errors()
             try:
@@ -121,14 +121,22 @@ class Exchange:
             if data:
                 self._alive = time.monotonic()
                 heard(data)
-            elif ended is None and self._channel.exit_status_ready():
-                ended = time.monotonic()
-                self._ask()
-            if data == b"":  # the end of its output; it may run on without one
-                self._hear_errors()
-                if self._channel.exit_status_ready():
+            if self._channel.exit_status_ready():
+                if data == b"":
+                    self._hear_errors()
                     return
+                if data or ended is None:
+                    ended = time.monotonic()
+            elif data == b"":  # the command closed its output and runs on
                 self._channel.status_event.wait(TICK)
+
+    def _lingers(self, ended: float) -> bool:
+        """Whether output may still come. A stalled link looks like one held open, so the robot has to answer."""
+        if time.monotonic() < ended + LINGER:
+            return True
+        if self._alive <= ended:
+            self._ask()
+        return self._alive <= ended
 
     def _hear_errors(self) -> None:
         while self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20)):
@@ -160,11 +168,14 @@ class Exchange:
         except BaseException as problem:  # noqa: BLE001  handed to the listening thread
             self._failed = problem
         else:
-            with contextlib.suppress(OSError, EOFError):
-                self._channel.shutdown_write()
+            self._end_input()
         finally:
             if close := getattr(feed, "close", None):
                 close()
+
+    def _end_input(self) -> None:
+        with contextlib.suppress(OSError, EOFError):
+            self._channel.shutdown_write()
 
     def _push(self, piece: memoryview) -> bool:
         """Send a piece, however long it takes. False: nobody takes it, and the command's own output has the reason."""

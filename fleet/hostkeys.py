@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Verdict = Literal["known", "unknown", "changed", "revoked"]
 
 _RSA = ("rsa-sha2-512", "rsa-sha2-256")
+_PLAIN = re.compile(r"[^|*?!,]*").fullmatch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +184,8 @@ def _entry(line: str, *, name: str, where: str) -> Entry | None:
 
 def _speaks_of(names: str, name: str) -> bool:
     """Whether the first field of a line is about ``name``: one hash, or patterns of which negated ones win."""
+    if _PLAIN(names):
+        return names.lower() == name
     if names.startswith("|"):
         return _hash_matches(names, name)
     patterns = names.lower().split(",")

@@ -106,7 +106,7 @@ def parse(text: str, *, address: str) -> Destination:
 
 def _ask(options: tuple[str, ...], address: str, *, config: Path | None, hops: int = 0) -> Destination:
     own = ("-F", str(config)) if config else ()
-    command = ("ssh", "-G", *own, *options, "--", address)
+    command = ("ssh", "-T", "-G", *own, *options, "--", address)
     try:
         answer = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=10
@@ -116,10 +116,11 @@ def _ask(options: tuple[str, ...], address: str, *, config: Path | None, hops: i
     except subprocess.TimeoutExpired as problem:
         raise Unreachable("`ssh -G` hangs", cure="look for a Match exec in ~/.ssh/config") from problem
     if answer.returncode:
-        said = answer.stderr.strip().splitlines()[-1:] or ["no reason given"]
-        raise Unreachable(
-            f"OpenSSH refuses its configuration for {address}: {said[0]}", cure="mend ~/.ssh/config"
-        )
+        said = [line for line in answer.stderr.splitlines() if not line.startswith("Warning")] or [
+            "no reason given"
+        ]
+        what = f"OpenSSH refuses its configuration for {address}: {said[0].strip()}"
+        raise Unreachable(what, cure="mend ~/.ssh/config")
     jumps = re.findall(r"^proxyjump (?!none$)(.+)", answer.stdout, re.MULTILINE)
     destination = parse(answer.stdout, address=address)
     return replace(destination, via=_via(jumps[0], config=config, hops=hops)) if jumps else destination

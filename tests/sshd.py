@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import getpass
 import os
 import signal
@@ -82,12 +83,12 @@ class Sshd:
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to all of it: SIGSTOP makes a robot that is there and does nothing."""
         for pid in self.processes():
-            os.kill(pid, number)
+            with contextlib.suppress(ProcessLookupError):  # ended meanwhile
+                os.kill(pid, number)
 
     def stop(self) -> None:
         """End it, with its connections."""
-        for pid in self.processes():
-            os.kill(pid, signal.SIGKILL)
+        self.signal(signal.SIGKILL)
         self.process.wait()
 
 
