@@ -22,7 +22,7 @@ from fleet import __version__
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Container, Iterable, Mapping
 
 HELP = {
     "hosts": "robots, groups and wildcards, comma separated; default: all",
@@ -33,12 +33,17 @@ HELP = {
 
 
 def verb(
-    texts: Mapping[str, str] | None = None, *, name: str | None = None, positional: str = ""
+    texts: Mapping[str, str] | None = None,
+    *,
+    name: str | None = None,
+    positional: str = "",
+    looks: bool = False,
 ) -> Callable[[Callable[..., int | None]], Any]:
     """Make a function a task of ``fab``; ``texts`` say what its own flags mean.
 
     What the function returns becomes the exit code, and our errors one sentence with theirs. A flag ``dry`` is also
-    set by Invoke's own ``--dry``, wherever that stands on the line.
+    set by Invoke's own ``--dry``, wherever that stands on the line; a verb without it is refused then, unless it
+    ``looks`` only.
     """
 
     def make(body: Callable[..., int | None]) -> Any:  # noqa: ANN401  Fabric's tasks have no type
@@ -50,10 +55,14 @@ def verb(
                 raise _misplaced(body.__name__, c.original_host)
             if "dry" in options:
                 options["dry"] = options["dry"] or bool(c.config.run.dry)
-            _finish(body, options)
+            elif c.config.run.dry and not looks:
+                raise Exit(f"{name or body.__name__} has no --dry: it was not run", code=2)
+            _finish(body, {key: _value(key, said, numbers) for key, said in options.items()})
 
         context = inspect.Parameter("c", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        parameters = [context, *signature.parameters.values()]
+        # Invoke would fall over a number that is none, so it is given text, and numbers are read here.
+        numbers = {key for key, flag in signature.parameters.items() if type(flag.default) is int}
+        parameters = [context, *(_as_text(flag) for flag in signature.parameters.values())]
         guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         known = {name: text for name, text in HELP.items() if name in signature.parameters}
         positionals = [positional] if positional else []
@@ -62,6 +71,19 @@ def verb(
         )(guarded)
 
     return make
+
+
+def _as_text(flag: inspect.Parameter) -> inspect.Parameter:
+    return flag.replace(default=str(flag.default)) if type(flag.default) is int else flag
+
+
+def _value(name: str, said: object, numbers: Container[str]) -> object:
+    """What was said for a flag, as its function takes it."""
+    if name not in numbers:
+        return said
+    if not str(said).isdecimal():
+        raise Exit(f"--{name} takes a whole number, not {said}", code=2)
+    return int(str(said))
 
 
 def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None:

@@ -27,7 +27,7 @@ def down() -> None:
     lab.down(directory=DIRECTORY, say=Screen().say)
 
 
-@verb(name="list")
+@verb(name="list", looks=True)
 def list_(json: bool = False) -> None:
     """Show the virtual Pis."""
     screen, pis = Screen(), lab.list_()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from typing import TYPE_CHECKING
 
 from fleet import containers, sshconfig
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from fleet.inventory import Robot
 
 
-@verb()
+@verb(looks=True)
 def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> None:
     """Show each robot with its merged values.
 
@@ -32,7 +33,7 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
         screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
 
 
-@verb({"watch": "keep the table up to date, until Ctrl-C"})
+@verb({"watch": "keep the table up to date, until Ctrl-C"}, looks=True)
 def status(hosts: str = "all", watch: bool = False, json: bool = False, inventory: str = "") -> int:
     """Show release, health, Docker, disk, temperature.
 
@@ -50,7 +51,7 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
     return 0 if watch or all(states.good(what) for what in seen.values()) else 1
 
 
-@verb({"tail": "events to show of each robot; default: 10"})
+@verb({"tail": "events to show of each robot; default: 10"}, looks=True)
 def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: str = "") -> int:
     """Show who shipped what, when, and its outcome.
 
@@ -58,7 +59,7 @@ def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: s
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     seen = observe(robots, watch=Silence())
-    events = {name: states.events(what)[-tail:] for name, what in seen.items()}
+    events = {name: states.events(what)[-tail:] if tail else () for name, what in seen.items()}
     if json:
         screen.json(events)
     else:
@@ -74,7 +75,8 @@ def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: s
         "tail": "lines from the end of each container's log, or all; default: 20",
         "since": "only what was said since then: 10m, 2h, 2026-11-23T12:00:00",
         "service": "only this service of the stack",
-    }
+    },
+    looks=True,
 )
 def logs(
     hosts: str = "all",
@@ -106,7 +108,9 @@ def logs(
     },
     positional="command",
 )
-def run(command: str = "", hosts: str = "all", limit: int = 60, inventory: str = "") -> int:
+def run(
+    command: str = "", hosts: str = "all", limit: int = 60, dry: bool = False, inventory: str = ""
+) -> int:
     """Run a command on robots: fab run -- uptime.
 
     It is a line for their shell, run as the login. The exit code is 1 where it fails on one.
@@ -114,12 +118,15 @@ def run(command: str = "", hosts: str = "all", limit: int = 60, inventory: str =
     if not command:
         raise Mistake("there is no command to run", cure="fab run --hosts NAMES -- COMMAND")
     screen, robots = Screen(), select(inventory, hosts)[1]
+    if dry:
+        screen.lines(f"{robot.name}: $ {command}" for robot in robots)
+        return 0
     printer = screen.prefixed([robot.name for robot in robots])
     return screen.problems(following.run(robots, command, limit=limit, printer=printer, watch=Silence()))
 
 
 @verb({"hosts": "one robot"})
-def shell(hosts: str, inventory: str = "") -> None:
+def shell(hosts: str, dry: bool = False, inventory: str = "") -> None:
     """Log in to one robot.
 
     With OpenSSH, and the host keys that `fab trust` recorded.
@@ -130,6 +137,9 @@ def shell(hosts: str, inventory: str = "") -> None:
             f"a shell goes to one robot, and {hosts} names {len(robots)}", cure="fab shell --hosts NAME"
         )
     argv = sshconfig.login(robots[0])
+    if dry:
+        Screen().lines([shlex.join(argv)])
+        return
     os.execvp(argv[0], argv)  # noqa: S606  the terminal becomes ssh's
 
 
@@ -138,7 +148,8 @@ def shell(hosts: str, inventory: str = "") -> None:
         "topic": "the topic; default: /time",
         "count": "messages from each robot, 0: until Ctrl-C; default: 0",
         "timeout": "seconds of silence that are a failure; default: 10",
-    }
+    },
+    looks=True,
 )
 def listen(
     hosts: str = "all", topic: str = "/time", count: int = 0, timeout: int = 10, inventory: str = ""
