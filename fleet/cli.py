@@ -33,11 +33,7 @@ HELP = {
 
 
 def verb(
-    texts: Mapping[str, str] | None = None,
-    *,
-    name: str | None = None,
-    positional: str = "",
-    looks: bool = False,
+    texts: Mapping[str, str] | None = None, *, name: str | None = None, looks: bool = False
 ) -> Callable[[Callable[..., int | None]], Any]:
     """Make a function a task of ``fab``; ``texts`` say what its own flags mean.
 
@@ -56,7 +52,7 @@ def verb(
             if "dry" in options:
                 options["dry"] = options["dry"] or bool(c.config.run.dry)
             elif c.config.run.dry and not looks:
-                raise Exit(f"{name or body.__name__} has no --dry: it was not run", code=2)
+                raise Exit("this verb has no --dry, and so nothing was done", code=2)
             _finish(body, {key: _value(key, said, numbers) for key, said in options.items()})
 
         context = inspect.Parameter("c", inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -65,10 +61,8 @@ def verb(
         parameters = [context, *(_as_text(flag) for flag in signature.parameters.values())]
         guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         known = {name: text for name, text in HELP.items() if name in signature.parameters}
-        positionals = [positional] if positional else []
-        return task(
-            name=name, auto_shortflags=False, positional=positionals, help={**known, **(texts or {})}
-        )(guarded)
+        flags = {**known, **(texts or {})}
+        return task(name=name, auto_shortflags=False, positional=[], help=flags)(guarded)
 
     return make
 

@@ -105,8 +105,7 @@ def logs(
     {
         "command": "a line for the robots' shell; also after --",
         "limit": "seconds it may take, 0: any; default: 60",
-    },
-    positional="command",
+    }
 )
 def run(
     command: str = "", hosts: str = "all", limit: int = 60, dry: bool = False, inventory: str = ""
@@ -126,7 +125,7 @@ def run(
 
 
 @verb({"hosts": "one robot"})
-def shell(hosts: str, dry: bool = False, inventory: str = "") -> None:
+def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
     """Log in to one robot.
 
     With OpenSSH, and the host keys that `fab trust` recorded.
