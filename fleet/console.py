@@ -26,7 +26,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from fleet import jsontext
+from fleet import jsontext, terminal
 from fleet.plan import exit_code, human_bytes, human_seconds, lines
 
 if TYPE_CHECKING:
@@ -51,24 +51,32 @@ _COLUMNS_OF_A_FILE = 200
 """Width of lines that do not go to a terminal: long enough that no table is folded."""
 
 
+class Terminal(Console):
+    """Rich's, where a reader that is gone (``| head``) is an exception and not the end of the program."""
+
+    def on_broken_pipe(self) -> None:
+        """See ``rich.console.Console.on_broken_pipe``."""
+        raise BrokenPipeError
+
+
 class Screen:
     """The terminal, or what stands in for it."""
 
     def __init__(self) -> None:
         width = None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE
-        self.out = Console(width=width, highlight=False, soft_wrap=not sys.stdout.isatty())
-        self.err = Console(
+        self.out = Terminal(width=width, highlight=False, soft_wrap=not sys.stdout.isatty())
+        self.err = Terminal(
             stderr=True, width=None if sys.stderr.isatty() else _COLUMNS_OF_A_FILE, highlight=False
         )
 
     def say(self, text: str) -> None:
         """One line of what is going on."""
-        self.err.print(Text(text))
+        self.err.print(_text(text))
 
     def lines(self, lines: Iterable[str]) -> None:
         """Lines of result, exactly."""
         for line in lines:
-            self.out.print(Text(line), soft_wrap=True)
+            self.out.print(_text(line), soft_wrap=True)
 
     def json(self, value: object) -> None:
         """A value for programs, on standard output."""
@@ -78,7 +86,7 @@ class Screen:
         """What ``--dry`` shows."""
         for plan in plans:
             for number, text in enumerate(lines(plan)):
-                self.out.print(Text(text, style="bold" if number == 0 else ""), soft_wrap=True)
+                self.out.print(_text(text, "bold" if number == 0 else ""), soft_wrap=True)
 
     def images(self, images: Iterable[Image], *, json: bool) -> None:
         """Local images: name, platform and size."""
@@ -97,11 +105,11 @@ class Screen:
             text = Text.assemble(
                 f"{outcome.robot:{width}}  ",
                 (f"{outcome.status:11}", _MARKS[outcome.status]),
-                f"  {_told(outcome)}",
+                f"  {terminal.plain(_told(outcome))}",
             )
             self.out.print(text, soft_wrap=True)
             for detail in _details(outcome):
-                self.out.print(Text(f"{'':{width}}  {detail}"), soft_wrap=True)
+                self.out.print(_text(f"{'':{width}}  {detail}"), soft_wrap=True)
         counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
 
@@ -110,7 +118,7 @@ class Screen:
         bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
         for outcome in bad:
             for text in (f"{outcome.robot}: {_told(outcome)}", *_details(outcome)):
-                self.err.print(Text(text), soft_wrap=True)
+                self.err.print(_text(text), soft_wrap=True)
         return exit_code(tuple(bad))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:
@@ -124,9 +132,9 @@ class Screen:
     def records(self, records: Mapping[str, Mapping[str, object]]) -> None:
         """Names with their values below, nested ones by a dotted key."""
         for name, values in records.items():
-            self.out.print(Text(name, style="bold"))
+            self.out.print(_text(name, "bold"))
             for key, value in _flat(values):
-                self.out.print(Text(f"  {key:24} {value}"), soft_wrap=True)
+                self.out.print(_text(f"  {key:24} {value}"), soft_wrap=True)
 
     def confirm(self, question: str) -> bool:
         """Ask a person; nobody there is a no."""
@@ -147,29 +155,15 @@ class Screen:
         lock = threading.Lock()
 
         def printer(name: str, text: str) -> None:
+            said = Text.from_ansi(terminal.coloured(text))
             with lock:
-                self.out.print(
-                    Text.assemble((f"{name:{width}} | ", styles[name]), Text.from_ansi(text)), soft_wrap=True
-                )
+                self.out.print(Text.assemble((f"{name:{width}} | ", styles[name]), said), soft_wrap=True)
 
         return printer
 
     def progress(self) -> Show:
         """Live progress on a terminal, a line per step where there is none."""
         return Bars(self.err) if self.err.is_terminal else Lines(self)
-
-
-class Silence:
-    """Progress that nobody is shown: what a verb prints tells enough."""
-
-    def began(self, robot: str, title: str, size: int | None) -> None:
-        """See `fleet.rollout.Watch`."""
-
-    def sent(self, robot: str, count: int) -> None:
-        """See `fleet.rollout.Watch`."""
-
-    def ended(self, outcome: Outcome) -> None:
-        """See `fleet.rollout.Watch`."""
 
 
 class Lines:
@@ -217,7 +211,7 @@ class Bars:
         self._moving = Progress(
             SpinnerColumn(),
             TextColumn("[bold]{task.fields[robot]}"),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             TimeElapsedColumn(),
             WhereBytesFlow(BarColumn(bar_width=24)),
             WhereBytesFlow(DownloadColumn()),
@@ -246,7 +240,9 @@ class Bars:
 
     def sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.Watch`."""
-        self._moving.advance(self._tasks[robot], count)
+        with self._lock:
+            if robot in self._tasks:  # bytes may leave after Ctrl-C has ended it
+                self._moving.advance(self._tasks[robot], count)
 
     def ended(self, outcome: Outcome) -> None:
         """See `fleet.rollout.Watch`."""
@@ -267,8 +263,13 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) ->
     for column in columns:
         table.add_column(column, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(text, style=style) for text, style in row))
+        table.add_row(*(_text(text, style) for text, style in row))
     return table
+
+
+def _text(said: str, style: str = "") -> Text:
+    """Words of ours or of a robot's: as they are, with no markup and no control in them."""
+    return Text(terminal.plain(said), style=style)
 
 
 def _told(outcome: Outcome) -> str:

@@ -7,14 +7,13 @@ robot's failure is its outcome, never the others'. Ctrl-C closes every connectio
 from __future__ import annotations
 
 import queue
-import re
 import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol
 
-from fleet import diagnosis, facts, layout, ssh
+from fleet import diagnosis, facts, layout, ssh, terminal
 from fleet.errors import CommandFailed, FleetError, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.plan import Outcome
 
@@ -28,10 +27,6 @@ AT_ONCE = 32
 """Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
 
 
-_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
-"""Terminal control sequences: Compose writes some into logs even where no terminal reads them."""
-
-
 class Watch(Protocol):
     """Whoever is told how it goes; called from many threads."""
 
@@ -43,6 +38,19 @@ class Watch(Protocol):
 
     def ended(self, outcome: Outcome) -> None:
         """A robot is through."""
+
+
+class Silence:
+    """Progress that nobody is shown: what a verb prints tells enough."""
+
+    def began(self, robot: str, title: str, size: int | None) -> None:
+        """See `Watch`."""
+
+    def sent(self, robot: str, count: int) -> None:
+        """See `Watch`."""
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `Watch`."""
 
 
 class Line:
@@ -116,6 +124,10 @@ def each(
             if name not in outcomes:
                 outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
                 watch.ended(outcomes[name])
+    except BrokenPipeError:  # nobody reads any more what the robots say
+        for line in lines:
+            line.close()
+        raise
     return tuple(outcomes[line.robot.name] for line in lines)
 
 
@@ -185,6 +197,8 @@ def _collect(
         if isinstance(came, Outcome):
             outcomes[came.robot] = came
             watch.ended(came)
+        elif isinstance(came, BrokenPipeError):
+            raise came
         else:
             bugs.append(came)
     if bugs:
@@ -256,7 +270,8 @@ def _aftermath(
 
 def _ask(step: Step, line: Line) -> str:
     try:
-        return _CONTROL.sub("", line.session.run(step.argv, limit=step.limit).output).strip()
+        # Compose writes control sequences into logs even where no terminal reads them.
+        return terminal.plain(line.session.run(step.argv, limit=step.limit).output).strip()
     except RobotError:
         return ""
 

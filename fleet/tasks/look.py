@@ -10,9 +10,10 @@ from fleet import containers, sshconfig
 from fleet import follow as following
 from fleet import status as states
 from fleet.cli import verb
-from fleet.console import Screen, Silence
+from fleet.console import Screen
 from fleet.errors import Mistake
 from fleet.execute import keep_observing, observe
+from fleet.rollout import Silence
 from fleet.tasks.select import select
 
 if TYPE_CHECKING:

@@ -1,0 +1,28 @@
+"""What of a robot's words may reach the terminal?
+
+Programs print control sequences: colours, and others that retitle windows, move the cursor over other lines or make
+the terminal type. A robot's output is shown in ours, so only its colours pass.
+"""
+
+from __future__ import annotations
+
+import re
+
+# ECMA-48 sequences, whole where they are; then single control characters, line separators and changes of direction.
+_CONTROL = re.compile(
+    r"(?:\x1b[\]PX^_]|[\x9d\x90\x98\x9e\x9f])[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c)?"
+    r"|(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"
+    r"|\x1b[ -/]*[0-~]"
+    r"|[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+)
+_COLOUR = re.compile(r"\x1b\[[0-9;]{0,40}m")
+
+
+def plain(text: str) -> str:
+    """The text without any control; line ends and tabs stay."""
+    return _CONTROL.sub("", text)
+
+
+def coloured(text: str) -> str:
+    """The text with no other control than colours."""
+    return _CONTROL.sub(lambda found: found[0] if _COLOUR.fullmatch(found[0]) else "", text)
