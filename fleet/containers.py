@@ -71,11 +71,11 @@ def _current(facts: Facts, *, robot: Robot) -> str:
 def _steps(verb: Verb, robot: Robot, release: str) -> tuple[Step, ...]:
     match verb:
         case "start":
-            return (layout.up(robot, release, wait=HEALTHY_WITHIN),)
+            return (layout.start(robot, release, wait=HEALTHY_WITHIN),)
         case "stop":
             return (layout.stop(robot, release),)
         case "restart":
             again = Step(
                 title=f"restart release {release}", argv=layout.compose(robot, release, "restart"), limit=90.0
             )
-            return (again, layout.up(robot, release, wait=HEALTHY_WITHIN))
+            return (again, layout.start(robot, release, wait=HEALTHY_WITHIN))

@@ -52,6 +52,8 @@ section interrupted; ls /var/lib/dpkg/updates 2>/dev/null
 section source; ls /etc/apt/sources.list.d/docker.list 2>/dev/null
 section group; getent group docker
 section current; readlink "$HOME/.fleet/current" 2>/dev/null
+section checksum; cd "$HOME/.fleet/current" 2>/dev/null && find . -type f -print | LC_ALL=C sort |
+  tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64; cd
 section releases; ls -1 "$HOME/.fleet/releases" 2>/dev/null
 section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
 if command -v docker >/dev/null; then
@@ -112,6 +114,7 @@ class Facts:
     interrupted: bool = False
     docker_source: bool = False
     current: str = ""
+    checksum: str = ""
     releases: tuple[str, ...] = ()
     history: tuple[str, ...] = ()
     engine: Engine = "absent"
@@ -171,6 +174,7 @@ def parse(text: str) -> Facts:
         interrupted=bool(said.get("interrupted", "")),
         docker_source=bool(said.get("source", "")),
         current=said.get("current", "").rpartition("/")[2],
+        checksum=said.get("checksum", ""),
         releases=tuple(name for name in said.get("releases", "").split() if not name.endswith(PART)),
         history=tuple(said.get("history", "").splitlines()),
         engine=engine,

@@ -28,12 +28,20 @@ PART = ".part"
 _OURS = ("COMPOSE_FILE", "COMPOSE_PROJECT_NAME", "ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
 """Variables that a robot's own login environment must not override: for Compose, it comes before ``.env``."""
 
-_UNPACK = f"""set -e
+_UNPACK = f"""set -e; mkdir -p {HOME}; exec 9>> {HOME}/lock; flock 9
 rm -rf "$1{PART}"; mkdir -p "$1{PART}"; tar -x -f - -C "$1{PART}"
 if diff -r "$1" "$1{PART}" > /dev/null 2>&1; then rm -rf "$1{PART}"; else rm -rf "$1"; mv "$1{PART}" "$1"; fi"""
 """A directory that is right stays: containers that run have its files mounted, and would keep the removed ones."""
 
-_SWITCH = 'ln -sfn "releases/$1" .fleet/current.new && mv -fT .fleet/current.new .fleet/current'
+_TURN = 240
+"""Seconds to wait for another person's command on the same robot to end."""
+
+_START = f"""exec 9>> {HOME}/lock
+flock --wait {_TURN} 9 || {{ echo "somebody else's release is being started, and does not end" >&2; exit 1; }}
+release=$1; shift; "$@" || exit
+ln -sfn "releases/$release" {HOME}/current.new && mv -fT {HOME}/current.new {HOME}/current"""
+"""One at a time: two `docker compose up` at once collide, and both fail."""
+
 _NOTE = 'mkdir -p .fleet && printf "%s\\n" "$1" >> .fleet/history'
 
 
@@ -58,8 +66,8 @@ def write(release: Release) -> Step:
     )
 
 
-def up(robot: Robot, release: str, *, wait: int) -> Step:
-    """Start a release's containers, or bring them to what it says, and wait until they are healthy (seconds)."""
+def start(robot: Robot, release: str, *, wait: int) -> Step:
+    """Bring the containers to what a release says, wait until they are healthy (seconds), and make it the current one."""
     flags = (
         "--detach",
         "--wait",
@@ -72,19 +80,14 @@ def up(robot: Robot, release: str, *, wait: int) -> Step:
     )
     return Step(
         title=f"start release {release}",
-        argv=compose(robot, release, "up", *flags),
-        limit=wait + 60.0,
+        argv=("sh", "-c", _START, "sh", release, *compose(robot, release, "up", *flags)),
+        limit=wait + _TURN + 60.0,
     )
 
 
 def stop(robot: Robot, release: str) -> Step:
     """Stop a release's containers; they stay stopped over a reboot."""
     return Step(title=f"stop release {release}", argv=compose(robot, release, "stop"), limit=90.0)
-
-
-def switch(release: str) -> Step:
-    """Make a release the current one; `current` is never missing in between."""
-    return Step(title=f"make {release} the current release", argv=("sh", "-c", _SWITCH, "sh", release))
 
 
 def last_words(robot: Robot, release: str) -> Step:

@@ -63,6 +63,13 @@ class Release:
     images: tuple[Image, ...]
     files: Mapping[str, bytes]
 
+    @property
+    def checksum(self) -> str:
+        """What `fleet.facts.PROBE` says of the directory of this release while all of its files are right."""
+        digests = {f"./{name}": hashlib.sha256(data).hexdigest() for name, data in self.files.items()}
+        listing = "".join(f"{digests[name]}  {name}\n" for name in sorted(digests, key=str.encode))
+        return hashlib.sha256(listing.encode()).hexdigest()
+
     def archive(self) -> bytes:
         """The release's directory as a tar archive; the same bytes every time."""
         buffer = io.BytesIO()

@@ -36,7 +36,7 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     """
     ready(facts, robot=robot)
     missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
-    there = facts.current == release.id and release.id in facts.releases
+    there = facts.current == release.id and facts.checksum == release.checksum
     if there and not missing and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     _room(missing, facts=facts)
@@ -46,8 +46,7 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
         layout.write(release),
         _check(robot, release.id),
         *(step for image in missing for step in (_load(image), _prove(image))),
-        layout.up(robot, release.id, wait=HEALTHY_WITHIN),
-        layout.switch(release.id),
+        layout.start(robot, release.id, wait=HEALTHY_WITHIN),
     )
     return Plan(
         robot=robot.name,
@@ -81,7 +80,7 @@ def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
     return Plan(
         robot=robot.name,
         summary=f"back to release {target}",
-        steps=(_check(robot, target), layout.up(robot, target, wait=HEALTHY_WITHIN), layout.switch(target)),
+        steps=(_check(robot, target), layout.start(robot, target, wait=HEALTHY_WITHIN)),
         explain=(layout.last_words(robot, target),),
         recover=_previous(robot, facts, failed=target),
         record=Record(verb="rollback", release=target, by=by),
@@ -173,7 +172,7 @@ def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
         return ()
     if facts.current not in facts.releases:
         return (layout.stop(robot, failed),)
-    return (layout.up(robot, facts.current, wait=HEALTHY_WITHIN),)
+    return (layout.start(robot, facts.current, wait=HEALTHY_WITHIN),)
 
 
 def _before(facts: Facts) -> str:

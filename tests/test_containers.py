@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fleet.facts import Container, Facts
 
 WORDS = (layout.last_words(PI, "abc"),)
-UP = layout.up(PI, "abc", wait=HEALTHY_WITHIN)
+UP = layout.start(PI, "abc", wait=HEALTHY_WITHIN)
 STOP = layout.stop(PI, "abc")
 AGAIN = Step(title="restart release abc", argv=layout.compose(PI, "abc", "restart"), limit=90.0)
 

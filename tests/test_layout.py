@@ -6,6 +6,8 @@ import shutil
 import subprocess
 import tarfile
 import threading
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,11 +107,39 @@ def test_a_file_name_with_spaces_and_quotes_arrives(home: Path, tmp_path: Path) 
     assert (home / layout.folder(new.id) / "files" / odd).read_text() == "42"
 
 
+def switch(release: str, *command: str) -> Step:
+    """Start a release, with another command in place of Compose."""
+    step = layout.start(PI, release, wait=1)
+    return replace(step, argv=(*step.argv[: step.argv.index(release) + 1], *(command or ("true",))))
+
+
+def test_a_release_that_does_not_start_is_not_made_current(home: Path) -> None:
+    """The exit code of Compose is that of the step, and ``current`` stays."""
+    (home / layout.folder("one")).mkdir(parents=True)
+    assert do(switch("one"), home).returncode == 0
+    assert do(switch("two", "sh", "-c", "exit 17"), home).returncode == 17
+    assert (home / ".fleet/current").readlink() == Path("releases/one")
+
+
+def test_two_people_start_one_after_the_other(home: Path) -> None:
+    """What one starts has ended before the other's begins."""
+    (home / ".fleet").mkdir()
+    told = 'echo in >> told; while [ ! -e "$1" ]; do :; done; echo out >> told'
+    argvs = [switch(name, "sh", "-c", told, "sh", "go").argv for name in ("one", "two")]
+    both = [subprocess.Popen(argv, cwd=home) for argv in argvs]
+    end = time.monotonic() + 1
+    while time.monotonic() < end or not (home / "told").exists():
+        assert not (home / "told").exists() or (home / "told").read_text().split() in ([], ["in"])
+    (home / "go").touch()
+    assert [one.wait(timeout=20) for one in both] == [0, 0]
+    assert (home / "told").read_text().split() == ["in", "out", "in", "out"]
+
+
 def test_current_is_there_at_every_moment_of_a_switch(home: Path) -> None:
     """Whoever reads the link while it changes finds the old or the new release, never none."""
     for name in ("one", "two"):
         (home / layout.folder(name)).mkdir(parents=True)
-    assert do(layout.switch("one"), home).returncode == 0
+    assert do(switch("one"), home).returncode == 0
     seen: set[str] = set()
     over = threading.Event()
 
@@ -123,19 +153,19 @@ def test_current_is_there_at_every_moment_of_a_switch(home: Path) -> None:
     reader = threading.Thread(target=read)
     reader.start()
     for name in ("two", "one") * 10:
-        assert do(layout.switch(name), home).returncode == 0
+        assert do(switch(name), home).returncode == 0
     over.set()
     reader.join()
     assert seen <= {"releases/one", "releases/two"}
     assert (home / ".fleet/current").resolve() == (home / layout.folder("one")).resolve()
-    assert sorted(path.name for path in (home / ".fleet").iterdir()) == ["current", "releases"]
+    assert sorted(path.name for path in (home / ".fleet").iterdir()) == ["current", "lock", "releases"]
 
 
 def test_a_switch_replaces_a_link_to_what_is_gone(home: Path) -> None:
     """A release that somebody removed by hand must not keep the next one from becoming current."""
     (home / ".fleet").mkdir()
     (home / ".fleet/current").symlink_to("releases/removed")
-    assert do(layout.switch("two"), home).returncode == 0
+    assert do(switch("two"), home).returncode == 0
     assert (home / ".fleet/current").readlink() == Path("releases/two")
 
 
@@ -202,7 +232,7 @@ def test_env_as_it_is_called_reads_the_release_and_not_the_login(home: Path) -> 
 
 def test_starting_never_pulls_or_builds_and_is_given_time() -> None:
     """A robot has no registry; Compose waits for health, and the step outlives Compose's own wait."""
-    step = layout.up(PI, "abc", wait=120)
+    step = layout.start(PI, "abc", wait=120)
     assert step.title == "start release abc"
     assert step.argv[step.argv.index("compose") :] == (
         "compose",
@@ -216,7 +246,8 @@ def test_starting_never_pulls_or_builds_and_is_given_time() -> None:
         "never",
         "--remove-orphans",
     )
-    assert step.limit == 180.0
+    assert step.limit is not None
+    assert step.limit > 120.0
 
 
 def test_stopping_and_last_words() -> None:
