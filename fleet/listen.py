@@ -143,6 +143,12 @@ def no_master(problem: tcpros.GraphError, *, robot: Robot, master: str) -> Robot
     status = f"`fab status --hosts {robot.name}` shows whether its containers run"
     cure = status if own else f"ros.master of {robot.name} names it: is it started, and reachable from here?"
     if isinstance(problem, tcpros.NoConnection):
+        host, _ = tcpros.address_of(master)
+        if own and ros.is_loopback(_called(robot)) and not ros.is_loopback(host):
+            return NotAsPlanned(
+                f"the ROS nodes of {robot.name} call themselves {_called(robot)}, and so listen to {robot.name} only",
+                cure=_rename(robot, next(iter(_ips(host)), "")),
+            )
         if problem.refused:
             return Unreachable(f"no ROS master listens at {master}", cure=cure)
         return Unreachable(
@@ -220,8 +226,14 @@ def misnamed(meaning: str, robot: Robot, node: str, host: str, home: Collection[
         cure = f"the inventory says {called}: `fab ship --hosts {robot.name}`"
     else:
         better = next((ip for ip in home if not ros.is_loopback(ip) and ip != host), "")
-        cure = f"set ros.ip of {robot.name} to {better or 'an IP address that other computers reach'}, and ship it"
+        cure = _rename(robot, better)
     return NotAsPlanned(f"node {node} tells others to call it {host}, {meaning}", cure=cure)
+
+
+def _rename(robot: Robot, address: str) -> str:
+    return (
+        f"set ros.ip of {robot.name} to {address or 'an IP address that other computers reach'}, and ship it"
+    )
 
 
 def _called(robot: Robot) -> str:

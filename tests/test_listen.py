@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import socket
 import time
 from typing import TYPE_CHECKING
@@ -83,6 +85,15 @@ def test_no_master_listens() -> None:
     assert isinstance(problem, Unreachable)
     assert problem.what == f"no ROS master listens at http://127.0.0.1:{port}"
     assert "fab status --hosts pi1" in problem.cure
+
+
+def test_nodes_that_listen_to_their_robot_only() -> None:
+    """A hostname that is loopback binds a real master to loopback: its port looks closed from outside."""
+    refused = tcpros.NoConnection("10.0.0.1", 11311, os.strerror(errno.ECONNREFUSED))
+    pi1 = Robot(name="pi1", address="10.0.0.1", ros=Ros(hostname="localhost"))
+    problem = listen.no_master(refused, robot=pi1, master="http://10.0.0.1:11311")
+    assert problem.what == "the ROS nodes of pi1 call themselves localhost, and so listen to pi1 only"
+    assert problem.cure == "set ros.ip of pi1 to 10.0.0.1, and ship it"
 
 
 def test_master_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
