@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import sys
@@ -38,7 +39,7 @@ def shown(argv: tuple[str, ...]) -> str:
 
 def main() -> None:
     """Run the verbs and write the picture beside this file."""
-    console = Console(record=True, width=COLUMNS, file=Path(os.devnull).open("w", encoding="utf-8"))
+    console = Console(record=True, width=COLUMNS, file=io.StringIO())
     for argv in VERBS:
         console.print(Text.assemble(("$ ", "bold green"), (" ".join(argv), "bold")))
         console.print(Text.from_ansi(shown(argv)))
