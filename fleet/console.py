@@ -47,8 +47,8 @@ _MARKS = {
     "skipped": "yellow",
 }
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue", "bright_red", "bright_cyan", "bright_magenta")
-_COLUMNS_OF_A_FILE = 200
-"""Width of lines that do not go to a terminal: long enough that no table is folded."""
+_COLUMNS_OF_A_FILE = 10_000
+"""Width of lines that do not go to a terminal: no table is folded there."""
 
 
 class Terminal(Console):
@@ -138,7 +138,8 @@ class Screen:
 
     def confirm(self, question: str) -> bool:
         """Ask a person; nobody there is a no."""
-        return sys.stdin.isatty() and self.err.input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+        asked = _text(f"{question} [y/N] ")
+        return sys.stdin.isatty() and self.err.input(asked).strip().lower() in ("y", "yes")
 
     def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
         """Show what became of the robots, and return the exit code."""
