@@ -37,6 +37,9 @@ PROOF_IMAGE = "fleet-proof"
 _SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
 _GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
 _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
+_IS_THERE = (
+    "command -v docker || { echo 'the script ended without an error, and installed nothing' >&2; exit 1; }"
+)
 _FORGET = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
 # An image of the robot's own /bin/true and its libraries: no registry is needed, and its architecture is the robot's.
@@ -173,7 +176,10 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
         steps = _by_script(robot, facts, script=script, bounds=bounds)
     else:
         steps = _by_packages(facts, bounds=bounds)
-    return (apt.repair(facts=facts, bounds=bounds), *steps) if steps and facts.interrupted else steps
+    if not steps:
+        return ()
+    repair = (apt.repair(facts=facts, bounds=bounds),) if facts.interrupted else ()
+    return (apt.reachable(), *repair, *steps)
 
 
 def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
@@ -194,9 +200,9 @@ def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds)
         apt.patiently(title, run, facts=facts, bounds=bounds),
         Step(
             title="prove that the script installed it",
-            argv=("docker", "--version"),
+            argv=("sh", "-c", _IS_THERE),
             limit=20.0,
-            cure=f"the script said that it succeeded; `sudo sh {SCRIPT}` there shows what it does",
+            cure=f"`sudo sh -x {SCRIPT}` there shows what it does",
         ),
         Step(title="remove the script", argv=("rm", "-f", SCRIPT), limit=20.0),
     )

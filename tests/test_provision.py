@@ -71,6 +71,7 @@ def test_a_blank_robot_gets_everything_in_a_safe_order() -> None:
     plan = planned(BLANK)
     assert titles(plan) == [
         "keep 3 log files of 10m per container",
+        "see that it reaches its package archive",
         "send Docker's script (https://get.docker.com)",
         "install Docker, which takes minutes",
         "prove that the script installed it",
@@ -108,10 +109,14 @@ def test_a_ready_robot_needs_no_rights() -> None:
             {"engine": "forbidden", "docker": "", "groups": ("pi",), "docker_group": ()},
             ["let pi use Docker", "start Docker now and at every boot"],
         ),
-        ({"compose": ""}, ["install Docker's Compose plugin"]),
+        ({"compose": ""}, ["see that it reaches its package archive", "install Docker's Compose plugin"]),
         (
             {"compose": "", "interrupted": True},
-            ["finish what dpkg was stopped in", "install Docker's Compose plugin"],
+            [
+                "see that it reaches its package archive",
+                "finish what dpkg was stopped in",
+                "install Docker's Compose plugin",
+            ],
         ),
         ({"daemon_config": ""}, ["keep 3 log files of 10m per container, from the next start of Docker on"]),
         ({"clock": NOW - 3600}, ["set the clock"]),
@@ -172,7 +177,7 @@ def test_values_are_arguments_and_never_shell_text() -> None:
 def test_what_a_failed_installation_left_is_removed_before_and_after() -> None:
     """A poisoned package source makes every later apt-get update fail."""
     plan = planned(replace(BLANK, docker_source=True))
-    assert titles(plan)[1] == "forget Docker's package source"
+    assert titles(plan)[2] == "forget Docker's package source"
     assert [step.title for step in plan.recover] == ["forget Docker's package source"]
 
 
