@@ -168,9 +168,10 @@ class _Way:
                 self.chain.pop().close()
                 transport.join(1)
                 stream.close()
-                if silent or attempt == ATTEMPTS or not isinstance(problem.__context__, EOFError | OSError):
+                if silent or attempt == ATTEMPTS or not _was_dropped(stream, problem):
                     raise _unreachable(stop, stream, transport, problem, silent=silent) from problem
-                time.sleep(random.uniform(0.2, 1) * attempt)  # noqa: S311  a burst must not come back as one
+                pause = self._patience * attempt / 10
+                time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
                 return HostKey(kind=key.get_name(), blob=key.asbytes()), known
         raise AssertionError("the last attempt returns or raises")
@@ -258,6 +259,11 @@ def _same(key: paramiko.PKey) -> paramiko.PKey:
     return key
 
 
+def _was_dropped(stream: Stream, problem: BaseException) -> bool:
+    """Whether the other end hung up before it spoke SSH, and a ProxyCommand gave no reason of its own."""
+    return isinstance(problem.__context__, EOFError | OSError) and not getattr(stream, "said", "")
+
+
 def _takes_no_keys(stop: Destination, problem: paramiko.BadAuthenticationType) -> LoginRefused:
     what = f"{stop.host} lets {stop.user} in by {' or '.join(problem.allowed_types)} only, and fleet logs in with keys"
     return LoginRefused(
@@ -272,7 +278,11 @@ def _unreachable(
     if isinstance(stream, ProxySocket) and stream.said:
         return Unreachable(f"the ProxyCommand to {where} fails: {stream.said}", cure="try `ssh` to it")
     if transport.remote_version:
-        what = "stops answering in the key exchange" if silent else f"breaks off the key exchange: {problem}"
+        what = (
+            "stops answering in the key exchange"
+            if silent
+            else f"breaks off the key exchange: {problem or 'it hangs up'}"
+        )
         return Unreachable(f"{where} {what}", cure="is the robot overloaded, or its OpenSSH very old?")
     if silent:
         return Unreachable(

@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleet import hostkeys
+from fleet import hostkeys, ssh
 from fleet.hostkeys import HostKey
 from fleet.inventory import Robot
 
@@ -136,6 +136,11 @@ class Sshds:
         ]
         return tuple(one if self._listens(one, trusted=True) else self.start(one.name) for one in launched)
 
+    def log_in(self, server: Sshd, *, identity: Path | None = None) -> str:
+        """Log in and run `echo in`; its answer."""
+        with ssh.connect(server.robot(identity=identity), config=self.config) as session:
+            return session.run(("echo", "in")).output
+
     def stop(self) -> None:
         """End them all."""
         for running in self._running:
@@ -155,10 +160,18 @@ class Sshds:
         folder.mkdir(exist_ok=True)
         keys = {kind: make_key(self.folder / f"host_{kind}", kind=kind) for kind in kinds}
         port = free_port() if not within else 22
-        own = [*options, f"ListenAddress {address}:{port}", *(f"HostKey {key}" for key in keys.values())]
+        chosen = {
+            option.split()[0] for option in options
+        }  # the first of two wins, except where the last does
+        usual = [line for line in _USUAL.splitlines() if line.split()[0] not in chosen]
+        own = [
+            *options,
+            *usual,
+            f"ListenAddress {address}:{port}",
+            *(f"HostKey {key}" for key in keys.values()),
+        ]
         config = folder / "sshd_config"
-        accepted = f"AuthorizedKeysFile {self.identity}.pub\n"
-        config.write_text("\n".join(own) + "\n" + _USUAL + accepted, encoding="utf-8")
+        config.write_text("\n".join((*own, f"AuthorizedKeysFile {self.identity}.pub", "")), encoding="utf-8")
         log = folder / "log"
         log.unlink(missing_ok=True)
         command = (*within, SSHD, "-D", "-f", str(config), "-E", str(log))
