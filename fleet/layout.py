@@ -25,7 +25,10 @@ HOME = ".fleet"
 PART = ".part"
 """How the name of a release's directory ends while it is being written."""
 
-_OURS = ("COMPOSE_FILE", "COMPOSE_PROJECT_NAME", "ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
+_OURS = (
+    *("COMPOSE_FILE", "COMPOSE_PROJECT_NAME", "FLEET_ROBOT"),
+    *("ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE"),
+)
 """Variables that a robot's own login environment must not override: for Compose, it comes before ``.env``."""
 
 _UNPACK = f"""set -e; mkdir -p {HOME}; exec 9>> {HOME}/lock; flock 9

@@ -141,7 +141,10 @@ def human_seconds(seconds: float) -> str:
 
 def lines(plan: Plan) -> list[str]:
     """The plan as the text that ``--dry`` prints: a heading, then each command as one could type it on the robot."""
-    text = [f"{plan.robot}: {plan.summary}" if plan.steps else f"{plan.robot}: unchanged, {plan.summary}"]
+    sends = f", sends {human_bytes(plan.size)}" if plan.size else ""
+    text = [
+        f"{plan.robot}: {plan.summary}{sends}" if plan.steps else f"{plan.robot}: unchanged, {plan.summary}"
+    ]
     for number, step in enumerate(plan.steps, start=1):
         text += [f"  {number}. {step.title}", _command(step)]
     for step in (*plan.explain, *plan.recover):

@@ -40,8 +40,6 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     if there and not missing and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     _room(missing, facts=facts)
-    size = human_bytes(sum(image.size for image in missing))
-    sends = f"sends {len(missing)} image{'s'[: len(missing) > 1]} ({size})" if missing else "has the images"
     steps = (
         layout.write(release),
         _check(robot, release.id),
@@ -50,7 +48,7 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     )
     return Plan(
         robot=robot.name,
-        summary=f"release {release.id}, {sends}",
+        summary=f"release {release.id}",
         steps=steps,
         explain=(layout.last_words(robot, release.id),),
         recover=_previous(robot, facts, failed=release.id),

@@ -23,7 +23,7 @@ def test_a_plan_reads_as_commands_one_could_type() -> None:
     """``--dry`` shows each step, what its command reads, and what follows a failure, quoted as a shell needs it."""
     plan = Plan(
         robot="pi1",
-        summary="release 3f2a9c1b5d0e, sends 1 image (242 MB)",
+        summary="release 3f2a9c1b5d0e",
         steps=(
             Step(
                 title="write it",
@@ -41,7 +41,7 @@ def test_a_plan_reads_as_commands_one_could_type() -> None:
         record=RECORD,
     )
     assert lines(plan) == [
-        "pi1: release 3f2a9c1b5d0e, sends 1 image (242 MB)",
+        "pi1: release 3f2a9c1b5d0e, sends 242 MB",
         "  1. write it",
         """     $ sh -c 'cat > "$1"' sh 'a b'   # reads 2 files, 1.5 kB""",
         "  2. load talker",

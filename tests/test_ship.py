@@ -75,7 +75,7 @@ def test_the_first_ship() -> None:
     """Everything that can fail without touching what runs comes first; with nothing before, a failure is stopped."""
     assert shipped(facts()) == Plan(
         robot="pi1",
-        summary=f"release {NEW.id}, sends 1 image (241 MB)",
+        summary=f"release {NEW.id}",
         steps=(WRITE, CHECK, LOAD, PROVE, up(NEW.id)),
         explain=(layout.last_words(PI, NEW.id),),
         recover=(layout.stop(PI, NEW.id),),
@@ -86,7 +86,7 @@ def test_the_first_ship() -> None:
 def test_an_image_that_is_there_is_not_sent_again() -> None:
     """A new environment alone ships in a moment; the release before it is what a failure goes back to."""
     plan = shipped(facts(images=HAS_IMAGE, current="old", releases=("old",), containers=(container("old"),)))
-    assert plan.summary == f"release {NEW.id}, has the images"
+    assert plan.size < 100_000
     assert plan.steps == (WRITE, CHECK, up(NEW.id))
     assert plan.recover == (up("old"),)
 
@@ -145,7 +145,7 @@ def test_two_images_are_both_sent_and_proved_before_anything_starts() -> None:
     two = Stack(name="s", text="", images={"a": "talker", "b": "camera"}, builds={})
     made = compose(robot=PI, stack=two, find=lambda name, _platform: found[name])
     plan = ship.plan(robot=PI, release=made, facts=facts(), by="tim@desktop")
-    assert plan.summary == f"release {made.id}, sends 2 images (250 MB)"
+    assert plan.size > TALKER.size + other.size
     assert [step.title for step in plan.steps] == [
         f"write release {made.id} to ~/.fleet/releases/{made.id}",
         "let the robot's Compose check the release",
