@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from fleet import hostkeys, ssh, sshconfig
 from fleet.plan import Outcome
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from fleet.hostkeys import HostKey, Verdict
     from fleet.inventory import Robot
     from fleet.rollout import Line, Watch
-
-Choice = Literal["recorded", "known", "refused"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,16 +54,21 @@ def to_record(offers: Iterable[Offer], *, changed: bool) -> tuple[Offer, ...]:
     return tuple(offer for offer in offers if offer.verdict in wanted)
 
 
-def outcome(offer: Offer, *, recorded: bool) -> Outcome:
-    """What became of one offer."""
+def outcome(offer: Offer, *, recorded: bool, dry: bool) -> Outcome:
+    """What became of one offer, or would without ``dry``."""
     summary = f"{offer.key.kind} {offer.key.fingerprint}"
+    if recorded and dry:
+        return Outcome(robot=offer.robot.name, status="unchanged", summary=f"would record {summary}")
     if recorded:
         return Outcome(robot=offer.robot.name, status="done", summary=f"recorded {summary}")
     if offer.verdict == "known":
         return Outcome(robot=offer.robot.name, status="unchanged", summary=f"known {summary}")
-    cure = "if the robot was set up again: `fab trust --changed`" if offer.verdict == "changed" else ""
+    cures = {
+        "unknown": "`fab trust` asks, and `fab trust --yes` does without asking",
+        "changed": "if the robot was set up again: `fab trust --changed`",
+    }
     reason = f"its host key is {offer.verdict} and was not recorded: {summary}"
-    return Outcome(robot=offer.robot.name, status="failed", reason=reason, cure=cure)
+    return Outcome(robot=offer.robot.name, status="failed", reason=reason, cure=cures.get(offer.verdict, ""))
 
 
 def record(offers: Iterable[Offer]) -> None:

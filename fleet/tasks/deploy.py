@@ -43,10 +43,10 @@ def trust(
     new = trusting.to_record(offers, changed=changed)
     for offer in new:
         screen.say(offer.text())
-    if dry or not new or not (yes or screen.confirm(f"Record {len(new)} host keys?")):
-        new = ()
-    trusting.record(new)
-    outcomes = (*(trusting.outcome(offer, recorded=offer in new) for offer in offers), *missing)
+    if not dry:
+        new = new if new and (yes or screen.confirm(f"Record {len(new)} host keys?")) else ()
+        trusting.record(new)
+    outcomes = (*(trusting.outcome(offer, recorded=offer in new, dry=dry) for offer in offers), *missing)
     return screen.result(outcomes, json=json)
 
 
