@@ -49,12 +49,11 @@ _CONTAINER = r"""
 code=$?; docker image rm "$1" > /dev/null; exit $code
 """
 
-# dpkg's reason for a failure stands only in its log, the engine's only in the journal.
-_REASONS = r"""
-find /var/log/apt/term.log -mmin -2 -exec grep -E "^dpkg: |^ " {} + 2>/dev/null | tail -n 5
-systemctl is-active --quiet docker || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2>/dev/null
-true
-"""
+# systemctl only says that Docker did not start; the reason stands in the journal.
+_REASONS = (
+    "systemctl is-active --quiet docker"
+    " || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2> /dev/null"
+)
 
 
 def plan(
@@ -176,10 +175,12 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
         steps = _by_script(robot, facts, script=script, bounds=bounds)
     else:
         steps = _by_packages(facts, bounds=bounds)
-    if not steps:
-        return ()
-    repair = (apt.repair(facts=facts, bounds=bounds),) if facts.interrupted else ()
-    return (apt.reachable(), *repair, *steps)
+    broken = facts.interrupted and (steps or facts.engine == "stopped")
+    return (
+        *((apt.reachable(),) if steps else ()),
+        *((apt.repair(facts=facts, bounds=bounds),) if broken else ()),
+        *steps,
+    )
 
 
 def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
@@ -295,5 +296,5 @@ def _forget(facts: Facts) -> Step:
 
 def _why(facts: Facts) -> Step:
     return Step(
-        title="ask dpkg's log and Docker's journal", argv=as_root(facts, "sh", "-c", _REASONS), limit=20.0
+        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _REASONS), limit=20.0
     )

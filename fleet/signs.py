@@ -107,6 +107,11 @@ SIGNS = (
         "`sudo apt-get remove {0}` there, then run the same command again",
     ),
     Sign(
+        r"^dpkg: error processing (?:archive|package) (?:\S*/)?(\S+) \(.*\):\n (.+)",
+        "dpkg could not install {0}: {1}",
+        "`sudo dpkg --configure -a` there shows it again",
+    ),
+    Sign(
         r"ERROR: '([^']+)' not found amongst apt-cache madison results",
         "there is no Docker {0} for its system",
         "pin another version in the inventory: `apt-cache madison docker-ce` there lists them",

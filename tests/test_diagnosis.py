@@ -127,6 +127,17 @@ HEARD = [
         "sources.list.d",
     ),
     (
+        (
+            "+ sh -c DEBIAN_FRONTEND=noninteractive apt-get -y -qq install docker.io >/dev/null\n"
+            "dpkg: error processing package docker.io (--configure):\n"
+            " installed docker.io package post-installation script subprocess returned error exit status 1\n"
+            "Errors were encountered while processing:\n docker.io\n"
+            "E: Sub-process /usr/bin/dpkg returned an error code (1)"
+        ),
+        "dpkg could not install docker.io: installed docker.io package post-installation script subprocess returned error",
+        "dpkg --configure -a",
+    ),
+    (
         " trying to overwrite '/usr/libexec/docker/cli-plugins/docker-buildx', which is also in package docker-buildx 0.13.1",
         "its package docker-buildx clashes",
         "apt-get remove docker-buildx",

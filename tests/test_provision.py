@@ -58,7 +58,7 @@ def planned(facts: Facts, *, of: Robot | None = None) -> Plan:
 def titles(plan: Plan) -> list[str]:
     """What is changed: the steps before the proofs."""
     found = [step.title for step in plan.steps]
-    return found[: found.index("prove that Docker answers this login")]
+    return found[: found.index("prove that Docker answers this login")] if found else []
 
 
 def step(plan: Plan, title: str) -> Step:
@@ -104,6 +104,11 @@ def test_a_ready_robot_needs_no_rights() -> None:
     ("broken", "cured_by"),
     [
         ({"engine": "stopped", "docker": ""}, ["start Docker now and at every boot"]),
+        (
+            {"engine": "stopped", "docker": "", "interrupted": True},
+            ["finish what dpkg was stopped in", "start Docker now and at every boot"],
+        ),
+        ({"interrupted": True}, []),
         ({"starts_at_boot": False}, ["start Docker now and at every boot"]),
         (
             {"engine": "forbidden", "docker": "", "groups": ("pi",), "docker_group": ()},

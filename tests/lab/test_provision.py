@@ -305,6 +305,15 @@ def test_a_missing_compose_plugin_is_added(ready: Target) -> None:
     assert ready.root("systemctl show --property MainPID docker") == engine
 
 
+def test_an_installation_that_was_cut_off_is_finished(ready: Target) -> None:
+    """The power went while dpkg had unpacked Docker and not yet set it up."""
+    ready.root(
+        "systemctl stop docker docker.socket; dpkg --unpack /var/cache/apt/archives/docker.io_*.deb 2>&1"
+    )
+    assert ready.facts().interrupted
+    assert mended(ready) == ["finish what dpkg was stopped in", "start Docker now and at every boot"]
+
+
 def test_settings_that_are_not_json_are_refused(ready: Target) -> None:
     """Somebody's work is not thrown away."""
     path = "/etc/docker/daemon.json"
