@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from fleet.plan import Feed
 
 CHUNK = 1 << 20
+"""The most bytes taken from the engine at once."""
+
+PIECE = 128 * 1024
+"""The most bytes sent at once, unless the engine gives more; larger ones would cost the memory allocator more than they save."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +81,10 @@ def identity(attributes: dict[str, Any]) -> str:
     lines += [f"stop {signal}" for signal in [config.get("StopSignal")] if signal]
     if check := config.get("Healthcheck"):
         times = (check.get(key, 0) for key in ("Interval", "Timeout", "StartPeriod", "Retries"))
-        lines += [*(f"check {word}" for word in check.get("Test") or []), "checked {} {} {} {}".format(*times)]
+        lines += [
+            *(f"check {word}" for word in check.get("Test") or []),
+            "checked {} {} {} {}".format(*times),
+        ]
     return "\n".join(lines).strip()
 
 
@@ -143,7 +150,7 @@ class Store:
                 self._client.images.get(local).tag(
                     reference
                 )  # an archive carries the name it is asked for by
-                yield from self._client.api.get_image(reference, chunk_size=CHUNK)
+                yield from _gathered(self._client.api.get_image(reference, chunk_size=CHUNK))
         except (self._errors.DockerException, OSError) as problem:
             raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
 
@@ -153,6 +160,19 @@ def _client(sdk: ModuleType) -> docker.DockerClient:
     make = sdk.DockerClient.from_env if os.environ.get("DOCKER_HOST") else sdk.DockerClient.from_context
     client: docker.DockerClient = make(version="auto")
     return client
+
+
+def _gathered(pieces: Iterable[bytes]) -> Generator[bytes]:
+    """The same bytes in pieces of up to `PIECE`: the engine's own, of 32 KiB, each take two packets of SSH."""
+    held: list[bytes] = []
+    size = 0
+    for piece in pieces:
+        if held and size + len(piece) > PIECE:
+            yield b"".join(held)
+            held, size = [], 0
+        held.append(piece)
+        size += len(piece)
+    yield b"".join(held)
 
 
 def _platform(attributes: dict[str, Any]) -> str:
