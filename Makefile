@@ -62,8 +62,8 @@ format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
 
-bench: desktop env ## measure what must be fast
-	@$(VENV)/bin/python tests/bench.py
+bench: desktop env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
+	@PYTHONPATH=tests $(VENV)/bin/python -m bench
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \

@@ -1,0 +1,1 @@
+"""What must be fast: measured beside the usual tools, pair by pair. `make bench` runs it."""
