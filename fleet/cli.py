@@ -12,7 +12,7 @@ import sys
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
-from fabric import Connection, task
+from fabric import Config, Connection, task
 from fabric.executor import Executor as FabricExecutor
 from fabric.main import Fab
 from invoke.collection import Collection
@@ -84,6 +84,7 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
     """Run a verb and leave with its exit code."""
     try:
         code = body(**options)
+        sys.stdout.flush()
     except FleetError as problem:
         cure = f"\n  cure: {problem.cure}" if problem.cure else ""
         raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
@@ -124,4 +125,11 @@ def collection(verbs: Iterable[Any], **groups: Iterable[Any]) -> Collection:
 
 def main(verbs: Collection) -> None:
     """Run as a program of its own, without a fabfile."""
-    Fab(name="fleet", binary="fleet", version=__version__, namespace=verbs, executor_class=Executor).run()
+    Fab(
+        name="fleet",
+        binary="fleet",
+        version=__version__,
+        namespace=verbs,
+        executor_class=Executor,
+        config_class=Config,
+    ).run()

@@ -106,7 +106,7 @@ def test_a_command_gets_no_input_and_a_limit(home: Home) -> None:
     assert statuses(follow.run([home.robot], "cat", limit=20, printer=printed, watch=Told())) == {
         "pi1": "done"
     }
-    (late,) = follow.run([home.robot], "echo one; sleep 60", limit=1, printer=printed, watch=Told())
+    (late,) = follow.run([home.robot], "echo one; sleep 20", limit=1, printer=printed, watch=Told())
     assert (late.status, printed.of("pi1")) == ("failed", ["one"])
     assert "took longer than 1 s" in late.reason
 

@@ -139,7 +139,7 @@ def test_ctrl_c_ends_all_that_run_and_tells_what_became_of_each(sshds: Sshds) ->
         if line.robot.name == "pi1":
             return done(line)
         try:
-            line.run("sh", "-c", "touch began; sleep 60", limit=70)
+            line.run("sh", "-c", "touch began; sleep 20", limit=40)
         except LinkLost:
             closed.append(line.robot.name)
             raise
@@ -331,7 +331,7 @@ def test_a_step_that_takes_too_long_is_ended_and_recovered_from(home: Home) -> N
     plan = Plan(
         robot="pi1",
         summary="",
-        steps=(sh("sleep 60", title="hang", limit=1.0),),
+        steps=(sh("sleep 20", title="hang", limit=1.0),),
         recover=(sh("touch recovered", title="back"),),
         record=RECORD,
     )
@@ -354,7 +354,7 @@ def test_a_link_that_is_cut_in_a_step_is_told_with_what_to_do(home: Home) -> Non
     plan = Plan(
         robot="pi1",
         summary="",
-        steps=(sh("touch began; sleep 60", title="start it", limit=70),),
+        steps=(sh("touch began; sleep 20", title="start it", limit=40),),
         recover=(sh("touch recovered"),),
     )
     threading.Thread(target=cut).start()
