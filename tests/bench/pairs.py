@@ -93,11 +93,12 @@ def spend(*commands: Sequence[str], environment: Mapping[str, str], limit: float
     ]
     try:
         said = [one.communicate(timeout=limit) for one in running]
-    except BaseException:
-        for one in running:
+    except subprocess.TimeoutExpired as late:
+        raise RuntimeError(f"{late.cmd!r} took longer than {limit:g} s") from None
+    finally:
+        for one in (one for one in running if one.poll() is None):
             os.killpg(one.pid, signal.SIGKILL)
-            one.wait()
-        raise
+            one.communicate()
     took = Cost(seconds=time.monotonic() - started, cpu=_children() - before)
     for one, (out, err) in zip(running, said, strict=True):
         if one.returncode:

@@ -35,8 +35,8 @@ def main() -> int:
     robots = inventory.load(asked.inventory).select(asked.hosts)
     if asked.megabytes:
         size = asked.megabytes * MEGABYTE
-        feed: Feed = ImageArchive(image="zeros", reference="zeros", size=size)
-        outcomes, cost = _send(robots, feed, asked.argv, open_feed=_zeros)
+        feed: Feed = ImageArchive(image="filler", reference="filler", size=size)
+        outcomes, cost = _send(robots, feed, asked.argv, open_feed=_filler)
     else:
         with Store() as store:
             local = store.find(asked.image, robots[0].platform)
@@ -67,9 +67,10 @@ def _send(
         return outcomes, {"seconds": time.monotonic() - started, "cpu": time.process_time() - cpu}
 
 
-def _zeros(feed: Feed) -> Iterator[bytes]:
-    for _ in range(feed.size // MEGABYTE):
-        yield bytes(MEGABYTE)
+def _filler(feed: Feed) -> Iterator[bytes]:
+    """As many bytes; each piece new, and not of zeros, which would take no memory even if they were kept."""
+    for number in range(feed.size // MEGABYTE):
+        yield bytes([1 + number % 255]) * MEGABYTE
 
 
 def _peak() -> int:
@@ -84,7 +85,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--hosts", default="all")
     parser.add_argument("--image", help="the local image to send")
     parser.add_argument("--reference", help="the name it gets on the robots")
-    parser.add_argument("--megabytes", type=int, default=0, help="send so many zeros instead")
+    parser.add_argument("--megabytes", type=int, default=0, help="send so much filler instead")
     parser.add_argument("argv", nargs="+", help="the command that reads them")
     return parser.parse_args()
 
