@@ -238,6 +238,13 @@ def test_impossible_rate_is_refused_in_the_log(image: str, start: Start) -> None
     assert "Traceback" not in log.stderr + log.stdout
 
 
+def test_starts_on_a_busy_small_board(image: str, start: Start) -> None:
+    """With a fiftieth of a processor the master needs longer than roslaunch would give it."""
+    robot = start(image, "--cpus", "0.02", "--no-healthcheck")
+    assert first_message(robot, within=300)
+    assert inspect(NAME, "{{.RestartCount}}") == "0"
+
+
 def test_namespace_and_rate_come_from_the_environment(image: str, start: Start) -> None:
     """What .env says reaches the node; the health check follows the namespace."""
     robot = start(image, "--env", "TALKER_RATE=20", "--env", "ROS_NAMESPACE=pi1")
