@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 
 Verb = Literal["start", "stop", "restart"]
 
-_UNTIL_CLOSED = 'exec 3<&0; "$@" & child=$!; { cat <&3; kill "$child"; } > /dev/null 2>&1 & wait "$child"'
-"""Runs a command until it ends, or until standard input closes, as it does with the connection: nothing follows on."""
-
 
 def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
     """The steps that start, stop or restart the current release.
@@ -58,7 +55,7 @@ def logs(*, robot: Robot, facts: Facts, follow: bool, tail: str, since: str, ser
     if follow:
         options += ["--follow"]
     argv = layout.compose(robot, release, *options, *((service,) if service else ()))
-    return ("sh", "-c", _UNTIL_CLOSED, "sh", *argv) if follow else argv
+    return layout.until_closed(argv) if follow else argv
 
 
 def _current(facts: Facts, *, robot: Robot) -> str:

@@ -31,17 +31,23 @@ _OURS = (
 )
 """Variables that a robot's own login environment must not override: for Compose, it comes before ``.env``."""
 
-_UNPACK = f"""set -e; mkdir -p {HOME}; exec 9>> {HOME}/lock; flock 9
-rm -rf "$1{PART}"; mkdir -p "$1{PART}"; tar -x -f - -C "$1{PART}"
-if diff -r "$1" "$1{PART}" > /dev/null 2>&1; then rm -rf "$1{PART}"; else rm -rf "$1"; mv "$1{PART}" "$1"; fi"""
+_UNPACK = f"""set -e; part=$1.$${PART}
+rm -rf "$part"; mkdir -p "$part"; tar -x -f - -C "$part"
+if diff -r "$1" "$part" > /dev/null 2>&1; then rm -rf "$part"; else rm -rf "$1"; mv "$part" "$1"; fi
+find "${{1%/*}}" -maxdepth 1 -name '*{PART}' -mmin +60 -exec rm -rf {{}} +"""
 """A directory that is right stays: containers that run have its files mounted, and would keep the removed ones."""
+
+_UNTIL_CLOSED = (
+    'exec 3<&0; "$@" & child=$!; { cat <&3; kill "$child"; } > /dev/null 2>&1 9>&- & wait "$child"'
+)
+"""Runs a command until it ends, or until standard input closes, as it does with the connection: nothing runs on."""
 
 _TURN = 240
 """Seconds to wait for another person's command on the same robot to end."""
 
 _START = f"""exec 9>> {HOME}/lock
 flock --wait {_TURN} 9 || {{ echo "somebody else's release is being started, and does not end" >&2; exit 1; }}
-release=$1; shift; "$@" || exit
+release=$1; shift; {_UNTIL_CLOSED} || exit
 ln -sfn "releases/$release" {HOME}/current.new && mv -fT {HOME}/current.new {HOME}/current"""
 """One at a time: two `docker compose up` at once collide, and both fail."""
 
@@ -57,6 +63,11 @@ def compose(robot: Robot, release: str, *arguments: str) -> tuple[str, ...]:
     """The argv of ``docker compose`` in the directory of a release."""
     unset = (part for name in (*_OURS, *sorted(robot.environment)) for part in ("-u", name))
     return ("env", "-C", folder(release), *unset, "docker", "compose", *arguments)
+
+
+def until_closed(argv: tuple[str, ...]) -> tuple[str, ...]:
+    """The argv of a command that ends with the connection, which must hold its standard input open until then."""
+    return ("sh", "-c", _UNTIL_CLOSED, "sh", *argv)
 
 
 def write(release: Release) -> Step:
@@ -85,6 +96,7 @@ def start(robot: Robot, release: str, *, wait: int) -> Step:
         title=f"start release {release}",
         argv=("sh", "-c", _START, "sh", release, *compose(robot, release, "up", *flags)),
         limit=wait + _TURN + 60.0,
+        until_closed=True,
     )
 
 

@@ -51,8 +51,8 @@ class Step:
 
     ``limit`` is in seconds; the command is ended on the robot when it passes. ``None`` trusts the link's own liveness,
     for commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without
-    surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login).
-    A ``harmless`` one touches nothing that runs: when it fails, there is nothing to recover yet.
+    surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login). One
+    ``until_closed`` has its standard input held open, and ends when the connection does. A ``harmless`` one touches nothing that runs: when it fails, there is nothing to recover yet.
     """
 
     title: str
@@ -62,6 +62,7 @@ class Step:
     cure: str = ""
     limit: float | None = 60.0
     fresh_login: bool = False
+    until_closed: bool = False
     harmless: bool = False
 
 

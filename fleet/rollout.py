@@ -220,7 +220,8 @@ def _do(
     """Run one step and believe only its proof."""
     if step.fresh_login:
         line.afresh()
-    feed = open_feed(step.feed) if step.feed else ()
+    nothing = None if step.until_closed else ()
+    feed = open_feed(step.feed) if step.feed else nothing
     result = line.session.run(step.argv, feed=feed, limit=step.limit, sent=tell)
     output = _succeed(step.argv, result, cure=step.cure)
     # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".

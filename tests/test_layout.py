@@ -32,17 +32,24 @@ def home(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def do(step: Step, home: Path) -> subprocess.CompletedProcess[bytes]:
-    """Run a step as a robot would: in its home, with its feed as input."""
+    """Run a step as a robot would: in its home, with its feed as input, or with an input that stays open."""
+    environment = {"PATH": f"{home.parent / 'bin'}:{os.environ['PATH']}", "HOME": str(home)}
     data = step.feed.data if isinstance(step.feed, Bytes) else b""
-    path = f"{home.parent / 'bin'}:{os.environ['PATH']}"
-    return subprocess.run(
+    with subprocess.Popen(
         step.argv,
         cwd=home,
-        input=data,
-        capture_output=True,
-        check=False,
-        env={"PATH": path, "HOME": str(home)},
-    )
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as command:
+        if not step.until_closed:
+            out, err = command.communicate(data, timeout=20)
+            return subprocess.CompletedProcess(step.argv, command.returncode, out, err)
+        code = command.wait(timeout=20)
+        assert command.stdin
+        command.stdin.close()
+        return subprocess.CompletedProcess(step.argv, code, b"", b"")
 
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
@@ -81,6 +88,7 @@ def test_a_damaged_release_is_made_whole_again(home: Path) -> None:
     part = folder.with_name(folder.name + layout.PART)
     part.mkdir()
     (part / "half").write_bytes(b"written before the power went")
+    os.utime(part, (0, 0))  # long ago: what is new may be somebody else's, who ships at this moment
     assert do(layout.write(new), home).returncode == 0
     assert {name: data for name, (_, data) in tree(folder).items()} == dict(new.files)
     assert [path.name for path in folder.parent.iterdir()] == [new.id]
@@ -124,15 +132,33 @@ def test_a_release_that_does_not_start_is_not_made_current(home: Path) -> None:
 def test_two_people_start_one_after_the_other(home: Path) -> None:
     """What one starts has ended before the other's begins."""
     (home / ".fleet").mkdir()
-    told = 'echo in >> told; while [ ! -e "$1" ]; do :; done; echo out >> told'
-    argvs = [switch(name, "sh", "-c", told, "sh", "go").argv for name in ("one", "two")]
-    both = [subprocess.Popen(argv, cwd=home) for argv in argvs]
-    end = time.monotonic() + 1
-    while time.monotonic() < end or not (home / "told").exists():
-        assert not (home / "told").exists() or (home / "told").read_text().split() in ([], ["in"])
+    command = 'echo in >> told; while [ ! -e "$1" ]; do :; done; echo out >> told'
+    argvs = [switch(name, "sh", "-c", command, "sh", "go").argv for name in ("one", "two")]
+    both = [subprocess.Popen(argv, cwd=home, stdin=subprocess.PIPE) for argv in argvs]
+    told = home / "told"
+    end = time.monotonic() + 20
+    while not told.exists():
+        assert time.monotonic() < end
+    soon = time.monotonic() + 0.5
+    while time.monotonic() < soon:
+        assert told.read_text().split() in ([], ["in"])
     (home / "go").touch()
     assert [one.wait(timeout=20) for one in both] == [0, 0]
-    assert (home / "told").read_text().split() == ["in", "out", "in", "out"]
+    for one in both:
+        assert one.stdin
+        one.stdin.close()
+    assert told.read_text().split() == ["in", "out", "in", "out"]
+
+
+def test_a_start_ends_with_the_connection(home: Path) -> None:
+    """Ctrl-C at the desktop closes the input: what was starting is ended, and the next person's turn comes at once."""
+    (home / ".fleet").mkdir()
+    with subprocess.Popen(switch("one", "sleep", "60").argv, cwd=home, stdin=subprocess.PIPE) as command:
+        assert command.stdin
+        command.stdin.close()
+        assert command.wait(timeout=20) != 0
+    assert not (home / ".fleet/current").exists()
+    assert do(switch("two"), home).returncode == 0
 
 
 def test_current_is_there_at_every_moment_of_a_switch(home: Path) -> None:
