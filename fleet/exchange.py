@@ -56,7 +56,6 @@ class Transport(Protocol):
     def is_alive(self) -> bool: ...
     def join(self, timeout: float | None = None) -> None: ...
     def global_request(self, kind: str, data: None = None, wait: bool = True) -> object: ...
-    def close(self) -> None: ...
 
 
 class Exchange:
@@ -87,7 +86,7 @@ class Exchange:
     ) -> int:
         """Feed and listen until the command ends; its exit code, or -1 where a signal ended it.
 
-        Whatever is raised, the connection is closed by then.
+        Whatever is raised, the connection is of no more use: close it, and the sending thread ends too.
 
         Raises:
             LinkLost: the connection ended, or nothing was heard for the time of ``silence``.
@@ -97,16 +96,12 @@ class Exchange:
         """
         self._channel.settimeout(TICK)
         deadline = float("inf") if limit is None else time.monotonic() + limit + GRACE
-        try:
-            if feed == ():
-                self._end_input()
-            elif feed is not None:
-                threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
-            self._listen(heard or self._out.append, deadline=deadline)
-            return self._code()
-        except BaseException:
-            self._transport.close()
-            raise
+        if feed == ():
+            self._end_input()
+        elif feed is not None:
+            threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
+        self._listen(heard or self._out.append, deadline=deadline)
+        return self._code()
 
     def _listen(self, heard: Hearer, *, deadline: float) -> None:
         """Take what comes until the command has ended and all it wrote is here."""

@@ -32,6 +32,9 @@ class Connection(Transport, Protocol):
     def begin(self, command: str) -> ClosableChannel:
         """Start a line of shell. Raises `LinkLost`, or `NotReady` where the robot does not."""
 
+    def close(self) -> None:
+        """End it, at once, whatever runs on it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
@@ -93,7 +96,11 @@ class Session:
         started = time.monotonic()
         with contextlib.closing(self._start(shlex.join(bounded))) as channel:
             exchange = Exchange(channel=channel, transport=self._chain[-1], silence=self._silence)
-            code = exchange.run(feed=feed, limit=limit, sent=sent, heard=heard)
+            try:
+                code = exchange.run(feed=feed, limit=limit, sent=sent, heard=heard)
+            except BaseException:
+                self.close()
+                raise
         # 124 is timeout's, the others say that it killed. A command may end with them early, on its own account.
         if limit is not None and time.monotonic() - started >= limit and code in (124, 137, 143, -1):
             what = f"`{argv[0]}` took longer than {limit:g} s and was ended on the robot"
@@ -111,7 +118,7 @@ class Session:
             watchdog.cancel()
 
 
-def close(chain: Iterable[Transport]) -> None:
+def close(chain: Iterable[Connection]) -> None:
     """End connections, each made through the one before."""
     # The first holds the socket: were it the last, the others' farewells would wait for a dead link.
     for transport in chain:

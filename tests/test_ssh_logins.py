@@ -71,6 +71,15 @@ def test_an_agent_unlocks_the_key_that_is_named(sshds: Sshds, *, beside: bool) -
         assert sshds.log_in(server, identity=key) == "in\n"
 
 
+def test_an_agent_without_the_named_key_is_left_alone(sshds: Sshds) -> None:
+    """IdentitiesOnly: the file is used, and the agent's seven others are not even offered."""
+    others = [make_key(sshds.folder / f"other{number}") for number in range(7)]
+    server = sshds.start(options=("MaxAuthTries 3",))
+    with agent(sshds.folder, *others) as path:
+        sshds.configure(f"Host *\n  IdentityAgent {path}")
+        assert sshds.log_in(server) == "in\n"
+
+
 def test_a_named_key_goes_before_the_agents_others(sshds: Sshds) -> None:
     """OpenSSH's order: else seven keys of an agent are refused, and the server hangs up before the right one."""
     others = [make_key(sshds.folder / f"other{number}") for number in range(7)]

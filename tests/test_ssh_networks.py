@@ -197,6 +197,23 @@ def test_a_cut_cable_is_noticed(sshds: Sshds, cable: Cable, *, feeding: bool) ->
         ssh.connect(server.robot(), patience=1, config=sshds.config)
 
 
+def test_a_cut_cable_to_a_jump_host_is_noticed(sshds: Sshds, cable: Cable) -> None:
+    """In mid-stream the inner connection cannot even say goodbye: what is queued outside stands in its way."""
+    within = ("ip", "netns", "exec", cable.namespace)
+    jump = sshds.start("jump", address=cable.address, within=within)
+    inner = sshds.start("inner", within=within)
+    sshds.configure(f"Host 127.0.0.1\n  ProxyJump {cable.address}\nHost *\n  IdentityFile {jump.identity}")
+    with ssh.connect(inner.robot(), silence=2, config=sshds.config) as session:
+        threading.Timer(0.5, cable.cut).start()
+        started = time.monotonic()
+        with pytest.raises(LinkLost):
+            session.run(
+                ("sh", "-c", "cat >/dev/null"), feed=(bytes(1 << 20) for _ in range(1 << 20)), limit=None
+            )
+        session.close()
+        assert time.monotonic() - started < 8
+
+
 def test_a_free_port_is_no_robot(sshds: Sshds, sshd: Sshd) -> None:
     """`offered_key` fails as `connect` does."""
     with pytest.raises(Unreachable, match="refuses connections"):
