@@ -64,10 +64,10 @@ def test_writing_keeps_the_files_mode(tmp_path: Path) -> None:
     (step,) = daemonjson.steps(ROBOT, Facts(sudo="root"))
     assert isinstance(step.feed, Bytes)
     path = tmp_path / "docker" / "daemon.json"
-    for mode in (None, 0o600):
+    for mode in (None, 0o600, 0o666):
         if mode:
             path.chmod(mode)
         subprocess.run((*step.argv[:-1], str(path)), input=step.feed.data, check=True)
         assert path.read_bytes() == step.feed.data
-    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.stat().st_mode & 0o777 == 0o666
     assert list(path.parent.iterdir()) == [path]

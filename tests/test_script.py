@@ -115,7 +115,7 @@ def test_a_slow_server_is_given_up(trickles: bool, tmp_path: Path) -> None:
 
     def slowly(request: BaseHTTPRequestHandler) -> None:
         request.send_response(200)
-        request.send_header("Content-Length", "100000")
+        request.send_header("Content-Length", "200")
         request.end_headers()
         while not ended.wait(0.05):
             if trickles:
