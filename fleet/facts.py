@@ -77,6 +77,7 @@ class Container:
     name: str
     service: str
     release: str
+    stack: str
     state: str
     status: str
 
@@ -244,6 +245,7 @@ def _container(said: dict[str, str]) -> Container:
         name=said["Names"],
         service=labels.get("com.docker.compose.service", ""),
         release=labels.get("fleet.release", ""),
+        stack=labels.get("fleet.stack", ""),
         state=said["State"],
         status=said["Status"],
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import http.client
 import subprocess
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -19,6 +20,8 @@ from fleet.errors import DesktopError, Mistake
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from fleet.inventory import Docker
 
 PATIENCE = 20.0
 """Seconds for the whole download: the script has 23 kB."""
@@ -48,6 +51,22 @@ def fetch(source: str, *, sha256: str | None, base: Path, patience: float = PATI
         cure = "open it in a browser: a network's login page may answer in its place" if is_url else ""
         raise Mistake(f"{source} is not a whole shell script: {trouble}", cure=cure)
     return script
+
+
+class Scripts:
+    """The scripts that robots need, each fetched once, when the first robot needs it; from any thread."""
+
+    def __init__(self, *, base: Path) -> None:
+        self._base = base
+        self._fetched: dict[Docker, bytes] = {}
+        self._one_at_a_time = threading.Lock()
+
+    def fetch(self, wanted: Docker) -> bytes:
+        """The script that the inventory names for a robot; raises as `fetch` does."""
+        with self._one_at_a_time:
+            if wanted not in self._fetched:
+                self._fetched[wanted] = fetch(wanted.script, sha256=wanted.sha256, base=self._base)
+            return self._fetched[wanted]
 
 
 def _read(path: Path) -> bytes:

@@ -37,13 +37,15 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
     ready(facts, robot=robot)
     missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
     there = facts.current == release.id and facts.checksum == release.checksum
-    if there and not missing and _runs(release, facts):
+    others = tuple(container.name for container in facts.containers if container.stack != release.stack)
+    if there and not missing and not others and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     _room(missing, facts=facts)
     steps = (
         layout.write(release),
         _check(robot, release.id),
         *(step for image in missing for step in (_load(image), _prove(image))),
+        *_clear(others),
         layout.start(robot, release.id, wait=HEALTHY_WITHIN),
     )
     return Plan(
@@ -159,6 +161,13 @@ def _prove(image: Image) -> Step:
         harmless=True,
         cure="run the same command again",
     )
+
+
+def _clear(others: tuple[str, ...]) -> tuple[Step, ...]:
+    """A stack that has another name now: Compose would leave the containers of the old one running beside it."""
+    if not others:
+        return ()
+    return (Step(title="remove the containers of another stack", argv=("docker", "rm", "--force", *others)),)
 
 
 def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:

@@ -28,7 +28,9 @@ def release(*, robot: Robot = PI, stack: Stack = STACK, image: Image = TALKER) -
 def container(of: str, *, service: str = "talker", state: str = "running", status: str = "") -> Container:
     """A container of release ``of``; a running one is healthy."""
     said = status or ("Up 3 minutes (healthy)" if state == "running" else "Exited (1) 5 seconds ago")
-    return Container(name=f"talker-{service}-1", service=service, release=of, state=state, status=said)
+    return Container(
+        name=f"talker-{service}-1", service=service, release=of, stack=STACK.name, state=state, status=said
+    )
 
 
 def facts(

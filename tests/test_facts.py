@@ -272,6 +272,7 @@ def test_containers_say_their_service_release_and_state() -> None:
             name="talker-talker-1",
             service="talker",
             release="abc",
+            stack="",
             state="running",
             status="Up 3 minutes (healthy)",
         ),
@@ -291,7 +292,7 @@ def test_containers_say_their_service_release_and_state() -> None:
 )
 def test_healthy_is_running_and_not_said_to_be_otherwise(state: str, status: str, healthy: bool) -> None:
     """A container without a healthcheck that runs is as well as it can say."""
-    assert Container(name="", service="", release="", state=state, status=status).healthy is healthy
+    assert Container(name="", service="", release="", stack="", state=state, status=status).healthy is healthy
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 
 from fleet import script
 from fleet.errors import DesktopError, FleetError, Mistake
+from fleet.inventory import Docker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -217,3 +218,13 @@ def test_dockers_script_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
             fetched("x.sh", tmp_path)
     (tmp_path / "x.sh").write_bytes(GOOD)
     assert fetched("x.sh", tmp_path) == GOOD
+
+
+def test_robots_share_what_was_fetched(tmp_path: Path) -> None:
+    """One robot or two hundred: the script is read once, and what one robot got all get."""
+    (tmp_path / "install.sh").write_bytes(GOOD)
+    scripts = script.Scripts(base=tmp_path)
+    wanted = Docker(script="install.sh")
+    assert scripts.fetch(wanted) == GOOD
+    (tmp_path / "install.sh").unlink()
+    assert scripts.fetch(wanted) == GOOD

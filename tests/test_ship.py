@@ -83,6 +83,18 @@ def test_the_first_ship() -> None:
     )
 
 
+def test_a_stack_with_a_new_name_takes_the_place_of_the_old() -> None:
+    """Compose knows containers by the name of their stack; two talkers of one ROS name must not run side by side."""
+    old = replace(container("old"), stack="tiny", name="tiny-talker-1")
+    plan = shipped(facts(images=HAS_IMAGE, current="old", releases=("old",), containers=(old,)))
+    assert [step.argv for step in plan.steps[-2:]] == [
+        ("docker", "rm", "--force", "tiny-talker-1"),
+        up(NEW.id).argv,
+    ]
+    assert plan.recover == (up("old"),)
+    assert shipped(replace(running(), containers=(container(NEW.id), old))).steps
+
+
 def test_an_image_that_is_there_is_not_sent_again() -> None:
     """A new environment alone ships in a moment; the release before it is what a failure goes back to."""
     plan = shipped(facts(images=HAS_IMAGE, current="old", releases=("old",), containers=(container("old"),)))

@@ -58,13 +58,11 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
     and runs a container. Only what is not right yet is done.
     """
     fleet, robots = select(inventory, hosts)
-    wanted = {robot.docker for robot in robots}
-    scripts = {d: script.fetch(d.script, sha256=d.sha256, base=fleet.path.parent) for d in wanted}
+    scripts = script.Scripts(base=fleet.path.parent)
 
     def make(robot: Robot, facts: Facts) -> Plan:
-        return provisioning.plan(
-            robot=robot, facts=facts, script=scripts[robot.docker], now=time.time(), by=whoami()
-        )
+        text = scripts.fetch(robot.docker) if provisioning.needs_script(facts) else b""
+        return provisioning.plan(robot=robot, facts=facts, script=text, now=time.time(), by=whoami())
 
     return execute(robots, make, dry=dry, json=json, screen=Screen())
 
