@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import getpass
+import io
 import os
 import shutil
 import subprocess
@@ -11,8 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
 from homes import Home, start
 from sshd import free_port
+
+from fleet import tasks
 
 if TYPE_CHECKING:
     from sshd import Sshds
@@ -56,6 +61,20 @@ class Project:
             timeout=120,
         )
         return Done(code=done.returncode, out=done.stdout, err=done.stderr)
+
+    def fleet(self, *words: str) -> Done:
+        """Type ``fleet`` and these words: the same verbs, here run in this process, which takes a tenth of the time."""
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        with pytest.MonkeyPatch.context() as person:
+            person.chdir(self.folder)
+            person.delenv("FLEET_INVENTORY", raising=False)
+            person.setattr("sys.argv", ["fleet", *words])
+            try:
+                with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                    tasks.main()
+            except SystemExit as end:
+                code = int(end.code or 0)
+        return Done(code=code, out=out.getvalue(), err=err.getvalue())
 
 
 def make(sshds: Sshds, *names: str) -> Project:
