@@ -82,7 +82,9 @@ def test_a_dry_run_shows_the_plan_and_touches_nothing(home: Home, screen: Screen
     assert execute([home.robot], touch, dry=True, json=False, screen=screen) == 0
     assert list(home.path.iterdir()) == []
     out, err = text(screen)
-    assert out == "pi1: make a file, sends 5 B\n  1. write it\n     $ sh -c 'cat > made'   # reads bytes, 5 B\n"
+    assert (
+        out == "pi1: make a file, sends 5 B\n  1. write it\n     $ sh -c 'cat > made'   # reads bytes, 5 B\n"
+    )
     assert err.endswith("nothing was changed (--dry)\n")
 
 
