@@ -7,7 +7,12 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+from fleet.errors import Unreachable
+
+if TYPE_CHECKING:
+    from fleet.errors import FleetError
 
 Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
 
@@ -114,6 +119,12 @@ class Outcome:
     def good(self) -> bool:
         """Whether the robot is as the person asked."""
         return self.status in ("done", "unchanged")
+
+
+def failure(robot: str, problem: FleetError) -> Outcome:
+    """The outcome of a robot whose work ended in an error."""
+    status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
+    return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
 
 
 def exit_code(outcomes: tuple[Outcome, ...]) -> int:

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Protocol
 
 from fleet import diagnosis, facts, layout, ssh, terminal
 from fleet.errors import CommandFailed, FleetError, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
-from fleet.plan import Outcome
+from fleet.plan import Outcome, failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from fleet.inventory import Robot
-    from fleet.plan import Feed, Plan, Status, Step
+    from fleet.plan import Feed, Plan, Step
 
 AT_ONCE = 32
 """Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
@@ -155,12 +155,6 @@ def apply(plan: Plan, line: Line, *, open_feed: Callable[[Feed], Iterable[bytes]
             )
     _note(plan, line, what_came="done")
     return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=sent)
-
-
-def failure(robot: str, problem: FleetError) -> Outcome:
-    """The outcome of a robot whose work ended in an error."""
-    status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
-    return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
 
 
 def _work_off(

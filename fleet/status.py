@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from fleet.errors import FleetError
 from fleet.layout import Event, history
-from fleet.plan import human_bytes
-from fleet.rollout import failure
+from fleet.plan import failure, human_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from fleet.errors import NotAsPlanned, Unreachable
 from fleet.plan import (
     Bytes,
     ImageArchive,
@@ -11,6 +12,7 @@ from fleet.plan import (
     Status,
     Step,
     exit_code,
+    failure,
     human_bytes,
     human_seconds,
     lines,
@@ -66,6 +68,14 @@ def test_a_plan_knows_how_much_it_sends() -> None:
     feeds = (Bytes(label="files", data=b"12345"), None, ImageArchive(image="a", reference="a", size=1000))
     steps = tuple(Step(title="", argv=("true",), feed=feed) for feed in feeds)
     assert Plan(robot="pi1", summary="", steps=steps).size == 1005
+
+
+def test_an_error_as_an_outcome() -> None:
+    """Only what was never reached is unreachable."""
+    assert failure("pi1", Unreachable("away", cure="look")) == Outcome(
+        robot="pi1", status="unreachable", reason="away", cure="look"
+    )
+    assert failure("pi1", NotAsPlanned("odd")).status == "failed"
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from homes import Home, Told, start, statuses
 from samples import PI
 from sshd import free_port
 
-from fleet.errors import CommandFailed, DesktopError, LinkLost, NotAsPlanned, Unreachable
+from fleet.errors import CommandFailed, DesktopError, LinkLost, NotAsPlanned
 from fleet.plan import Bytes, ImageArchive, Outcome, Plan, Record, Step
-from fleet.rollout import Line, apply, each, failure
+from fleet.rollout import Line, apply, each
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -401,14 +401,6 @@ def test_a_history_that_cannot_be_written_is_no_failure(home: Home) -> None:
     """A full disk: what the robot runs matters more."""
     (home.path / ".fleet").write_text("in the way")
     assert applied(home, Plan(robot="pi1", summary="", steps=(sh("true"),), record=RECORD)).status == "done"
-
-
-def test_an_error_as_an_outcome() -> None:
-    """Only what was never reached is unreachable."""
-    assert failure("pi1", Unreachable("away", cure="look")) == Outcome(
-        robot="pi1", status="unreachable", reason="away", cure="look"
-    )
-    assert failure("pi1", NotAsPlanned("odd")).status == "failed"
 
 
 def test_a_robot_that_vanishes_before_a_fresh_login_is_told_so(home: Home, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from sshd import Sshds, known_line, make_key, public_key
 from fleet import tasks
 from fleet.errors import InventoryError
 from fleet.tasks import deploy, lab, look
-from fleet.tasks.select import select
+from fleet.tasks.chosen import select
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

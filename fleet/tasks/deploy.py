@@ -15,7 +15,7 @@ from fleet.cli import verb
 from fleet.console import Screen
 from fleet.dockercli import buildkit_client
 from fleet.execute import execute, whoami
-from fleet.tasks.select import select
+from fleet.tasks.chosen import select
 
 if TYPE_CHECKING:
     from fleet.facts import Facts

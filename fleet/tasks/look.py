@@ -14,7 +14,7 @@ from fleet.console import Screen
 from fleet.errors import Mistake
 from fleet.execute import keep_observing, observe
 from fleet.rollout import Silence
-from fleet.tasks.select import select
+from fleet.tasks.chosen import select
 
 if TYPE_CHECKING:
     from fleet.facts import Facts
