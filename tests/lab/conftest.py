@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from labproject import DOCKERFILE, HEAVY, HEAVY_SIZE, TINY, Project, on_each, service, wipe
 
 from fleet import lab as labs
 from fleet.errors import FleetError
@@ -124,12 +125,43 @@ def own_lab(tmp_path: Path) -> Iterator[Lab]:
     labs.down(directory=tmp_path / "lab", name=name, say=print)
 
 
-# A fixture `provisioned` - the session's Pis with Docker on them - goes here: it takes `lab` and runs the verb once.
+@pytest.fixture(scope="session")
+def provisioned(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """The session's Pis, trusted and with Docker: `fab trust` and `fab provision`, once."""
+    project = Project.made(tmp_path_factory.mktemp("provision"), lab)
+    project.well("trust", "--yes")
+    project.well("provision", within=900)
+    return lab
+
+
+@pytest.fixture(scope="session")
+def images(provisioned: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The images of the tests' stacks: one that is there in no time, and one whose bytes can be watched."""
+    project = Project.made(tmp_path_factory.mktemp("images"), provisioned)
+    for name, payload in ((TINY, b"tiny"), (HEAVY, os.urandom(HEAVY_SIZE))):
+        project.write(f"{name}/Dockerfile", DOCKERFILE)
+        (project.directory / name / "payload").write_bytes(payload)
+    project.stack(
+        tick=service(TINY, more=f"build: ../{TINY}"), heavy=service(HEAVY, more=f"build: ../{HEAVY}")
+    )
+    project.well("build", within=900)
+    yield
+    names = (f"reference={name}" for name in (TINY, HEAVY))
+    listing = ("docker", "image", "ls", "--quiet", *(part for name in names for part in ("--filter", name)))
+    found = subprocess.run(listing, capture_output=True, text=True, check=True).stdout.split()
+    subprocess.run(("docker", "image", "rm", "--force", *set(found)), capture_output=True, check=True)
+
+
+@pytest.fixture
+def project(provisioned: Lab, images: None, tmp_path: Path) -> Project:  # noqa: ARG001  they must be there
+    """A fresh project, and robots that nothing was shipped to."""
+    on_each(provisioned.pis, wipe)
+    return Project.made(tmp_path, provisioned)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of this folder, and run them last: what fails quickly should."""
+    """Mark the tests of this folder, and run them last: what fails quickly should. Blank Pis come before provisioned."""
     for item in items:
         if HERE in item.path.parents:
             item.add_marker(pytest.mark.lab)
-    items.sort(key=lambda item: HERE in item.path.parents)
+    items.sort(key=lambda item: (HERE in item.path.parents, "provisioned" in item.fixturenames))  # type: ignore[attr-defined]

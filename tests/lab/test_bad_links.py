@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+from labproject import HEAVY, HEAVY_SIZE, current, cut, environment, eventually, processes, running, service
+
+if TYPE_CHECKING:
+    from lab.conftest import Pi
+    from labproject import Project
+
+HALF = HEAVY_SIZE // 2
+STARTING = service(check="false").replace("start_period: 20s", "start_period: 600s")
+"""A service that never becomes healthy, and may take ten minutes to: `up --wait` waits for it."""
+
+
+def images(pi: Pi) -> str:
+    return pi.exec("docker", "image", "ls", "--quiet", HEAVY)
+
+
+def shipped(project: Project, colour: str = "red") -> list[tuple[str, dict[str, tuple[str, str]]]]:
+    """Ship a good release to all; what is current and what runs on each."""
+    project.colour(colour)
+    project.well("ship")
+    return [(current(pi), running(pi)) for pi in project.lab.pis]
+
+
+def test_a_link_cut_in_mid_stream(project: Project, pi: Pi) -> None:
+    """Noticed within 30 s; the others are done, what ran runs on, and the next ship finishes it."""
+    before = shipped(project)
+    project.stack(tick=service(HEAVY))
+    with cut(pi, after=HALF) as is_cut, project.start("ship", "--json") as fab:
+        assert eventually(is_cut, within=60)
+        since = time.monotonic()
+        said = fab.end()
+        assert time.monotonic() - since < 30
+    assert (said.code, said.status) == (1, {"pi1": "failed", "pi2": "done", "pi3": "done"})
+    assert said.json[0]["step"].startswith(f"load {HEAVY}")
+    assert "run the same command again" in said.json[0]["cure"]
+    assert (current(pi), running(pi)) == before[0]
+    assert project.well("ship", "--json").status == {"pi1": "done", "pi2": "unchanged", "pi3": "unchanged"}
+
+
+def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
+    """Noticed within 30 s, whatever the command was waiting for; the new release is not current, the next ship heals."""
+    before = shipped(project)[0][0]
+    project.stack(tick=STARTING)
+    with project.start("ship", "--hosts", "pi1") as fab:
+        assert eventually(lambda: processes(pi, "compose up"))
+        with cut(pi):
+            since = time.monotonic()
+            said = fab.end()
+            assert time.monotonic() - since < 30
+    assert said.code == 1
+    assert "start release" in said.out
+    assert current(pi) == before
+    project.stack(tick=service())
+    project.colour("green")
+    project.well("ship", "--hosts", "pi1")
+    assert environment(pi)["COLOUR"] == "green"
+
+
+def test_docker_that_dies_during_the_load(project: Project, pi: Pi) -> None:
+    """The robot is told to have failed, the others are done, and the next ship finishes it."""
+    shipped(project)
+    project.stack(tick=service(HEAVY))
+    with project.start("ship", "--json") as fab:
+        with cut(pi, after=HALF) as is_cut:
+            assert eventually(is_cut, within=60)
+            pi.exec("systemctl", "kill", "--signal", "KILL", "docker")
+        said = fab.end(within=120)
+    assert (said.code, said.status) == (1, {"pi1": "failed", "pi2": "done", "pi3": "done"})
+    assert said.json[0]["step"].startswith(f"load {HEAVY}")
+    assert eventually(lambda: pi.ssh("docker version").returncode == 0)
+    assert project.well("ship", "--json").status == {"pi1": "done", "pi2": "unchanged", "pi3": "unchanged"}
+
+
+def test_ctrl_c_while_connecting(project: Project, pi: Pi) -> None:
+    """A robot that accepts the connection and says nothing does not hold the person."""
+    subprocess.run(("docker", "pause", pi.container), capture_output=True, check=True)
+    try:
+        with project.start("ship", "--hosts", "pi1") as fab:
+            fab.await_text("look at the robot")
+            fab.ctrl_c()
+            said = fab.end(within=5)
+    finally:
+        subprocess.run(("docker", "unpause", pi.container), capture_output=True, check=True)
+    assert (said.code, "interrupted by Ctrl-C" in said.out, "Traceback" in said.all) == (1, True, False), said
+
+
+def test_ctrl_c_while_looking(project: Project, pi: Pi) -> None:
+    """A robot whose Docker hangs does not hold the person; those that are through are told as they are."""
+    pi.exec("systemctl", "kill", "--signal", "STOP", "docker")
+    try:
+        with project.start("ship") as fab:
+            fab.await_text("pi2: done")
+            fab.await_text("pi3: done")
+            assert processes(pi, "docker version")
+            fab.ctrl_c()
+            said = fab.end(within=5)
+    finally:
+        pi.exec("systemctl", "kill", "--signal", "CONT", "docker")
+    assert said.code == 1
+    assert [line.split()[:2] for line in said.out.splitlines() if line.startswith("pi")] == [
+        ["pi1", "skipped"],
+        ["pi2", "done"],
+        ["pi3", "done"],
+    ]
+    assert (current(pi), running(pi)) == ("", {})
+
+
+def test_ctrl_c_during_the_load(project: Project, pi: Pi) -> None:
+    """What ran runs on, no half an image stays, and the next ship finishes."""
+    before = shipped(project)
+    project.stack(tick=service(HEAVY))
+    with project.start("ship") as fab, cut(pi, after=HALF) as is_cut:
+        assert eventually(is_cut, within=60)
+        fab.ctrl_c()
+        said = fab.end(within=5)
+    assert (said.code, "interrupted by Ctrl-C" in said.out, "Traceback" in said.all) == (1, True, False), said
+    assert eventually(lambda: not processes(pi, "docker load"), within=60)
+    assert (images(pi), current(pi), running(pi)) == ("", *before[0])
+    assert set(project.well("ship", "--json").status.values()) <= {"done", "unchanged"}
+
+
+def test_ctrl_c_during_the_start(project: Project, pi: Pi) -> None:
+    """The release that was not seen healthy does not become current, and the next ship finishes."""
+    before = shipped(project)[0][0]
+    project.stack(tick=STARTING)
+    with project.start("ship", "--hosts", "pi1") as fab:
+        assert eventually(lambda: processes(pi, "compose up"))
+        fab.ctrl_c()
+        said = fab.end(within=5)
+    assert (said.code, "interrupted by Ctrl-C" in said.out, "Traceback" in said.all) == (1, True, False), said
+    assert current(pi) == before
+    project.stack(tick=service())
+    project.colour("green")
+    project.well("ship", "--hosts", "pi1")
+    assert environment(pi)["COLOUR"] == "green"
+    assert not processes(pi, "compose up")
