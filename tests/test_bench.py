@@ -50,6 +50,12 @@ def test_two_ways_take_turns() -> None:
     assert order == ["fleet", "usual", "fleet", "usual"]
 
 
+def test_a_slow_computer_is_measured_twice_at_least() -> None:
+    """When the time is used up no round begins, and one alone would be no median."""
+    once = Cost(seconds=1, cpu=1)
+    assert len(compare(lambda: once, lambda: once, rounds=5, within=0).ratios) == 2
+
+
 def test_cpu_is_told_for_a_gigabyte() -> None:
     """The figure does not depend on how much was sent."""
     runs = [Cost(seconds=9, cpu=cpu, sent=500_000_000) for cpu in (1, 2, 3)]

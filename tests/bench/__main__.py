@@ -57,7 +57,7 @@ def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tup
     lists = asking.listing(environment=environment, rounds=7)
     with asking.servers(SERVERS, folder=folder, environment=environment) as servers:
         screen.say(f"fab status over {SERVERS} SSH servers")
-        asked = servers.compare(rounds=5)
+        asked = servers.compare(rounds=7, within=60)
     cpu = sorted(run.cpu for run in lists)[len(lists) // 2]
     how = f"median of {len(lists)}; {cpu:.2f} s of CPU"
     return (
@@ -70,11 +70,11 @@ def _streaming(folder: Path, environment: Mapping[str, str], screen: Screen) -> 
     """The rows, and the version of Docker on the robots."""
     with streaming.robots(ROBOTS, folder=folder, environment=environment, say=screen.say) as robots:
         screen.say("streaming into docker load: one robot")
-        one = robots.compare(streaming.LOAD, count=1, rounds=5)
+        one = robots.compare(streaming.LOAD, count=1, rounds=7, within=90)
         screen.say(f"streaming into docker load: {ROBOTS} robots at once")
-        many = robots.compare(streaming.LOAD, count=ROBOTS, rounds=3)
+        many = robots.compare(streaming.LOAD, count=ROBOTS, rounds=5, within=120)
         screen.say("streaming into nothing: one robot")
-        wire = robots.compare(streaming.SINK, count=1, rounds=5)
+        wire = robots.compare(streaming.SINK, count=1, rounds=5, within=30)
         engine = robots.engine()
     size = f"{wire.fleet[0].sent / MEGABYTE:.0f} MB"
     peak = max(run.peak for run in many.fleet) / MEGABYTE

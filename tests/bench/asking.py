@@ -35,9 +35,9 @@ class Servers:
     ports: Path
     environment: Mapping[str, str]
 
-    def compare(self, *, rounds: int) -> Pairs:
+    def compare(self, *, rounds: int, within: float = float("inf")) -> Pairs:
         """Ask all of them the same: each way is a whole process, from its start to its end."""
-        return compare(self._fleet, self._bare, rounds=rounds)
+        return compare(self._fleet, self._bare, rounds=rounds, within=within)
 
     def _fleet(self) -> Cost:
         command = (FAB, "status", "--json", "--inventory", str(self.inventory))

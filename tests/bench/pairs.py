@@ -56,9 +56,13 @@ class Pairs:
         return seconds(self.fleet), seconds(self.usual)
 
 
-def compare(fleet: Callable[[], Cost], usual: Callable[[], Cost], *, rounds: int) -> Pairs:
-    """Take both ways in turn."""
-    both = [(fleet(), usual()) for _ in range(rounds)]
+def compare(
+    fleet: Callable[[], Cost], usual: Callable[[], Cost], *, rounds: int, within: float = float("inf")
+) -> Pairs:
+    """Take both ways in turn: so many rounds, or fewer (two at least) where they take longer than ``within`` seconds."""
+    started, both = time.monotonic(), [(fleet(), usual()), (fleet(), usual())]
+    while len(both) < rounds and time.monotonic() - started < within:
+        both.append((fleet(), usual()))
     return Pairs(fleet=tuple(a for a, _ in both), usual=tuple(b for _, b in both))
 
 

@@ -40,13 +40,14 @@ class Robots:
     image: str
     environment: Mapping[str, str]
 
-    def compare(self, command: Sequence[str], *, count: int, rounds: int) -> Pairs:
-        """Stream the image into ``command`` on so many robots at once: fleet's way, and OpenSSH's."""
+    def compare(self, command: Sequence[str], *, count: int, rounds: int, within: float) -> Pairs:
+        """Stream the image into ``command`` on so many robots at once: fleet's way and OpenSSH's; see `pairs.compare`."""
         pis = self.pis[:count]
         return compare(
             lambda: self._fresh(self._fleet, command, pis),
             lambda: self._fresh(self._openssh, command, pis),
             rounds=rounds,
+            within=within,
         )
 
     def engine(self) -> str:
