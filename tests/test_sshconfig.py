@@ -111,7 +111,8 @@ def test_the_tokens_of_a_proxy_command_are_put_in(config: Path) -> None:
     said = subprocess.run(
         ("ssh", "-T", "-F", config, "pi1"), capture_output=True, text=True, check=False
     ).stderr
-    assert shlex.split(ours.partition(" >&2")[0])[1:] == said.splitlines()[0].split()
+    # ssh complains on the same stream that nobody answers, at times before the command's own word.
+    assert shlex.split(ours.partition(" >&2")[0])[1:] in [line.split() for line in said.splitlines()]
 
 
 def test_jump_hosts_are_resolved_in_order(config: Path) -> None:
