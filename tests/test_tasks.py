@@ -82,8 +82,8 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_help_of_a_verb_as_it_is_asked_for(mine: Project) -> None:
     """Both ways that Fabric knows."""
-    assert mine.fab("ship", "--help").out == mine.fab("--help", "ship").out
-    assert "--hosts=STRING" in mine.fab("ship", "--help").out
+    assert mine.fleet("ship", "--help").out == mine.fleet("--help", "ship").out
+    assert "--hosts=STRING" in mine.fleet("ship", "--help").out
 
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
