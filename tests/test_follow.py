@@ -136,7 +136,7 @@ def test_logs_are_read_to_their_end(home: Home) -> None:
 def test_logs_are_followed_until_ctrl_c(home: Home) -> None:
     """Lines come as they are written; the input stays open, so that the end of the connection can be noticed."""
     script = "echo one; until [ -e go ]; do sleep 0.05; done; echo two; cat; touch ended"
-    printed = Printed()
+    printed, early = Printed(), list[bool]()
 
     def person() -> None:
         while not printed.lines:
@@ -144,6 +144,8 @@ def test_logs_are_followed_until_ctrl_c(home: Home) -> None:
         (home.path / "go").touch()
         while len(printed.lines) < 2:
             time.sleep(0.01)
+        time.sleep(0.3)
+        early.append((home.path / "ended").exists())
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=person)
@@ -153,6 +155,7 @@ def test_logs_are_followed_until_ctrl_c(home: Home) -> None:
     )
     thread.join()
     assert (outcome.status, printed.of("pi1")) == ("skipped", ["one", "two"])
+    assert early == [False]
     end = time.monotonic() + 10
     while not (home.path / "ended").exists():  # `cat` read the end of its input
         assert time.monotonic() < end

@@ -7,6 +7,7 @@ import io
 import json
 import subprocess
 import tarfile
+import threading
 import uuid
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from fleet.image import CHUNK, Image, Store, identity, repository, tagged_for
 from fleet.plan import Bytes, ImageArchive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator, Iterator
     from pathlib import Path
 
 CONFIG: dict[str, Any] = {
@@ -257,6 +258,27 @@ def test_archives_that_are_left_half_read_do_not_keep_others_waiting(shelf: Shel
     for _ in range(10):
         pieces = store.archive(f"{shelf.name}:latest-amd64", f"{shelf.name}:fleet-1")
         assert next(pieces)
+        pieces.close()
+
+
+def test_only_so_many_archives_are_read_at_once(shelf: Shelf, store: Store) -> None:
+    """The engine stages each on this computer's disk first: the ninth begins when one has ended."""
+    shelf.load("latest-amd64", size=3 * CHUNK)
+
+    def begin() -> Generator[bytes]:
+        pieces = store.archive(f"{shelf.name}:latest-amd64", f"{shelf.name}:fleet-1")
+        next(pieces)
+        return pieces
+
+    reading = [begin() for _ in range(8)]
+    ninth = threading.Thread(target=lambda: begin().close())
+    ninth.start()
+    ninth.join(0.5)
+    assert ninth.is_alive()
+    reading.pop().close()
+    ninth.join(10)
+    assert not ninth.is_alive()
+    for pieces in reading:
         pieces.close()
 
 

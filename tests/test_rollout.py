@@ -172,8 +172,10 @@ def test_when_nobody_reads_any_more_everything_ends() -> None:
         assert line.closed.wait(10)
         return done(line)
 
+    began = time.monotonic()
     with pytest.raises(BrokenPipeError):
         each(robots("a", "writer", "b"), work, watch=Told())
+    assert time.monotonic() - began < 8
 
 
 def test_a_line_connects_once_and_afresh_when_asked(home: Home) -> None:
@@ -365,6 +367,16 @@ def test_a_link_that_is_cut_in_a_step_is_told_with_what_to_do(home: Home) -> Non
     assert "lost" in outcome.reason
     assert "\n" not in outcome.reason
     assert outcome.cure
+
+
+@pytest.mark.parametrize(("until_closed", "status"), [(True, "done"), (False, "failed")])
+def test_a_step_that_ends_with_its_connection_finds_its_input_open(
+    home: Home, until_closed: bool, status: str
+) -> None:
+    """The end of its input is how it learns that nobody is there any more; others read nothing at once."""
+    waits = ("sh", "-c", "timeout 0.5 cat; test $? = 124")
+    step = Step(title="wait", argv=waits, until_closed=until_closed)
+    assert applied(home, Plan(robot="pi1", summary="", steps=(step,))).status == status
 
 
 def test_a_step_with_a_fresh_login_has_a_connection_of_its_own(home: Home) -> None:
