@@ -38,7 +38,7 @@ def main() -> int:
     screen = Screen()
     when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
     try:
-        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _time_is_up_after(TIME):
+        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(TIME):
             environment = _environment()
             rows = [*_asking(Path(folder), environment, screen)]
             more, engine = _streaming(Path(folder), environment, screen)
@@ -115,19 +115,21 @@ def _machine(engine: str, load: float) -> str:
 
 
 @contextmanager
-def _time_is_up_after(limit: int) -> Iterator[None]:
-    """End what runs within with ``TimeoutError`` after so many seconds; cleaning up still follows."""
+def _bounded(limit: int) -> Iterator[None]:
+    """End what runs within with ``TimeoutError`` after so many seconds, and when asked to end; cleaning up still follows."""
 
-    def up(*_: object) -> NoReturn:
-        raise TimeoutError(f"not done after {limit} s; is this computer busy?")
+    def end(number: int, _: object) -> NoReturn:
+        why = f"not done after {limit} s; is this computer busy?" if number == signal.SIGALRM else "ended"
+        raise TimeoutError(why)
 
-    before = signal.signal(signal.SIGALRM, up)
+    before = {number: signal.signal(number, end) for number in (signal.SIGALRM, signal.SIGTERM)}
     signal.alarm(limit)
     try:
         yield
     finally:
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 if __name__ == "__main__":
