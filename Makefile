@@ -7,7 +7,7 @@ PIS := pi1,pi2,pi3
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench picture lock clean desktop env
+.PHONY: help demo undemo test test-unit test-lab lint format bench lock clean desktop env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -64,9 +64,6 @@ format: env ## put the code into the project's format
 
 bench: desktop env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench
-
-picture: env ## draw docs/demo.svg from what verbs print for a fleet that runs
-	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python docs/picture.py
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \
