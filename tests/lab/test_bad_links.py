@@ -120,7 +120,7 @@ def test_ctrl_c_during_the_load(project: Project, pi: Pi) -> None:
         said = fab.end(within=5)
     assert (said.code, "interrupted by Ctrl-C" in said.out, "Traceback" in said.all) == (1, True, False), said
     # The desktop's last word may be lost in the cut: then the robot's sshd, and this load, wait for TCP to give up.
-    pi.exec("sh", "-c", "pkill -f 'docker load' || true")
+    pi.exec("sh", "-c", "pkill -f '[d]ocker load' || true")
     assert eventually(lambda: not processes(pi, "docker load"), within=60)
     assert (images(pi), current(pi), running(pi)) == ("", *before[0])
     assert set(project.well("ship", "--json").status.values()) <= {"done", "unchanged"}
