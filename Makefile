@@ -7,7 +7,7 @@ PIS := pi1,pi2,pi3
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench lock clean desktop env
+.PHONY: help demo undemo test test-unit test-lab lint format bench lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -42,13 +42,13 @@ demo: desktop env ## three virtual Pis, from blank to talking; they are left run
 undemo: env ## remove the virtual Pis of the demo, and nothing else
 	@$(FAB) lab.down
 
-test: desktop lint test-unit test-lab ## everything: lint, types, unit tests, then the tests on virtual Pis
+test: testbed lint test-unit test-lab ## everything: lint, types, unit tests, then the tests on virtual Pis
 
-test-unit: env ## the tests that need no virtual Pi
+test-unit: testbed env ## the tests that need no virtual Pi
 	$(STEP) 'Unit tests'
 	@$(VENV)/bin/pytest tests --ignore tests/lab
 
-test-lab: desktop env ## the tests on virtual Pis, in a lab of their own
+test-lab: testbed env ## the tests on virtual Pis, in a lab of their own
 	$(STEP) 'Tests on virtual Pis'
 	@$(VENV)/bin/pytest tests/lab
 
@@ -62,7 +62,7 @@ format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
 
-bench: desktop env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
+bench: testbed env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench
 
 lock: ## choose new versions of all dependencies (needs uv)
@@ -77,6 +77,9 @@ clean: ## remove the demo, the Python environment and all caches
 
 desktop: # Docker, emulation, tools: says what it installs, and nothing when all is there
 	@docker/desktop.sh
+
+testbed: # that, and an SSH server's program for the tests
+	@docker/desktop.sh test
 
 env: $(VENV)/ready # the Python environment, as locked
 

@@ -2,8 +2,10 @@
 # What this computer needs for building images and for the lab, on Debian, Ubuntu and their kin.
 #
 # Says what is missing, installs exactly that with apt, and is quiet when there is nothing to do. A Docker that works is
-# not touched. Runs as root, or as a user with sudo; sudo is only used when something has to be changed.
+# not touched. Runs as root, or as a user with sudo; sudo is only used when something has to be changed. With the word
+# `test`, what the tests need is there afterwards, too.
 set -eu
+for_tests="${1:-}"
 PATH="$PATH:/usr/sbin:/sbin" # where dockerd and update-binfmts are; a user's PATH may lack it
 
 say() { echo "desktop: $*"; }
@@ -94,6 +96,23 @@ missing() {
     have ssh || echo openssh-client
     have python3 || echo python3
     python_makes_environments || echo python3-venv
+    ! sshd_missing || echo openssh-server
+    [ -z "$for_tests" ] || have zstd || echo zstd
+    [ -z "$for_tests" ] || have ip || echo iproute2
+}
+
+# Tests start SSH servers of their own, as programs; nobody's computer begins to let people in because of that.
+sshd_missing() { [ -n "$for_tests" ] && ! have sshd; }
+
+without_starting_services() {
+    refuse=/usr/sbin/policy-rc.d
+    if ! sshd_missing || [ -e "$refuse" ]; then "$@"; return; fi
+    as_root sh -c "printf '#!/bin/sh\nexit 101\n' > $refuse && chmod 755 $refuse"
+    result=0
+    "$@" || result=$?
+    as_root rm -f "$refuse"
+    if [ -d /run/systemd/system ]; then as_root systemctl disable --quiet ssh.service ssh.socket 2> /dev/null || true; fi
+    return "$result"
 }
 
 # --- Put it there
@@ -107,7 +126,7 @@ install_missing() {
     say "installing with apt-get: $packages"
     # One word per package.
     # shellcheck disable=SC2086
-    as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
+    without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
         install --no-install-recommends $packages > /dev/null
 }
 
