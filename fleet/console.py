@@ -27,7 +27,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fleet import jsontext, terminal
-from fleet.plan import exit_code, human_bytes, human_seconds, lines
+from fleet.plan import details, exit_code, human_bytes, human_seconds, lines, told
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -105,10 +105,10 @@ class Screen:
             text = Text.assemble(
                 f"{outcome.robot:{width}}  ",
                 (f"{outcome.status:11}", _MARKS[outcome.status]),
-                f"  {terminal.plain(_told(outcome))}",
+                f"  {terminal.plain(told(outcome))}",
             )
             self.out.print(text, soft_wrap=True)
-            for detail in _details(outcome):
+            for detail in details(outcome):
                 self.out.print(_text(f"{'':{width}}  {detail}"), soft_wrap=True)
         counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
@@ -117,7 +117,7 @@ class Screen:
         """Show the robots that failed, on standard error, and return the exit code. Ctrl-C is how a person stops."""
         bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
         for outcome in bad:
-            for text in (f"{outcome.robot}: {_told(outcome)}", *_details(outcome)):
+            for text in (f"{outcome.robot}: {told(outcome)}", *details(outcome)):
                 self.err.print(_text(text), soft_wrap=True)
         return exit_code(tuple(bad))
 
@@ -188,6 +188,10 @@ class Lines:
     def sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.Watch`."""
 
+    def told(self, robot: str, text: str) -> None:
+        """See `fleet.rollout.Watch`."""
+        self._screen.say(f"{robot}: {text}")
+
     def ended(self, outcome: Outcome) -> None:
         """See `fleet.rollout.Watch`."""
         self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
@@ -245,6 +249,10 @@ class Bars:
             if robot in self._tasks:  # bytes may leave after Ctrl-C has ended it
                 self._moving.advance(self._tasks[robot], count)
 
+    def told(self, robot: str, text: str) -> None:
+        """See `fleet.rollout.Watch`."""
+        self._moving.console.print(_text(f"{robot}: {text}"), soft_wrap=True)
+
     def ended(self, outcome: Outcome) -> None:
         """See `fleet.rollout.Watch`."""
         with self._lock:
@@ -271,23 +279,6 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) ->
 def _text(said: str, style: str = "") -> Text:
     """Words of ours or of a robot's: as they are, with no markup and no control in them."""
     return Text(terminal.plain(said), style=style)
-
-
-def _told(outcome: Outcome) -> str:
-    if outcome.good:
-        took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
-        sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
-        return f"{outcome.summary}{sent}{took}"
-    first = outcome.reason.splitlines()[0] if outcome.reason else ""
-    return f"{outcome.step}: {first}" if outcome.step else first
-
-
-def _details(outcome: Outcome) -> list[str]:
-    """What is told below the robot's line: the rest of the reason (log lines), then the cure."""
-    if outcome.good:
-        return []
-    details = [f"  | {line}" for line in outcome.reason.splitlines()[1:]]
-    return [*details, f"  cure: {outcome.cure}"] if outcome.cure else details
 
 
 def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import getpass
 import socket
+from functools import partial
 from typing import TYPE_CHECKING
 
+from fleet.apply import PATIENCE, apply
 from fleet.errors import FleetError, LinkLost
 from fleet.plan import Bytes, Outcome, exit_code
-from fleet.rollout import apply, each
+from fleet.rollout import each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -16,8 +18,9 @@ if TYPE_CHECKING:
     from fleet.console import Screen
     from fleet.facts import Facts
     from fleet.inventory import Robot
+    from fleet.line import Line
     from fleet.plan import Feed, Plan
-    from fleet.rollout import Line, Watch
+    from fleet.rollout import Watch
 
     Planner = Callable[[Robot, Facts], Plan]
     Opener = Callable[[Feed], Iterable[bytes]]
@@ -25,36 +28,49 @@ if TYPE_CHECKING:
 
 def execute(
     robots: Sequence[Robot],
-    make: Planner,
-    *,
+    *ladder: Planner,
     dry: bool,
     json: bool,
     screen: Screen,
     open_feed: Opener | None = None,
+    images: bool = False,
+    patience: float = PATIENCE,
 ) -> int:
-    """Look at every robot, plan for it, and carry that out, or show the plans with ``dry``. Returns the exit code."""
-    opener = open_feed or held
+    """Look at every robot, plan for it, and carry that out, or show the plans with ``dry``. Returns the exit code.
+
+    Where the robot cannot use what was sent, it is looked at again, and the next planner of ``ladder`` has its turn. With
+    ``images``, planners are told what robots hold of images; for ``patience`` see `fleet.apply.apply`.
+    """
     plans: dict[str, Plan] = {}
 
     with screen.progress() as show:
 
-        def work(line: Line) -> Outcome:
+        def attempt(line: Line, make: Planner) -> Outcome:
             show.began(line.robot.name, "look at the robot", None)
-            plan = plans[line.robot.name] = make(line.robot, line.facts())
+            plan = plans[line.robot.name] = make(line.robot, line.facts(images=images))
             if dry:
                 return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-            return apply(plan, line, open_feed=opener, watch=show)
+            return apply(plan, line, open_feed=open_feed or held, watch=show, patience=patience)
 
-        outcomes = each(robots, work, watch=show)
-    if dry:
-        return show_plans(
-            [plans[robot.name] for robot in robots if robot.name in plans], outcomes, json=json, screen=screen
-        )
-    if json:
-        screen.json(outcomes)
-    else:
-        screen.outcomes(outcomes)
-    return exit_code(outcomes)
+        outcomes = each(robots, partial(_climb, ladder=ladder, attempt=attempt, watch=show), watch=show)
+    if not dry:
+        return screen.result(outcomes, json=json)
+    made = [plans[robot.name] for robot in robots if robot.name in plans]
+    return show_plans(made, outcomes, json=json, screen=screen)
+
+
+def _climb(
+    line: Line, *, ladder: Sequence[Planner], attempt: Callable[[Line, Planner], Outcome], watch: Watch
+) -> Outcome:
+    """Attempt one planner's way, and the next one's where a robot could not use what came."""
+    first, *others = ladder
+    outcome = attempt(line, first)
+    for make in others:
+        if not outcome.unusable:
+            break
+        watch.told(line.robot.name, f"{outcome.reason}; trying another way")
+        outcome = attempt(line, make)
+    return outcome
 
 
 def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool, screen: Screen) -> int:

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from fleet.layout import PART
+from fleet.transfer import stock
+from fleet.transfer.stock import Stock
 
 MARK = "=fleet="
 
@@ -59,15 +61,21 @@ section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
 if command -v docker >/dev/null; then
   section docker; docker version --format '{{.Server.Version}}' 2>&1
   section client; docker --version 2>/dev/null
-  section store; docker info --format '{{.Driver}}' 2>/dev/null
+  section store; docker info --format '{{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null
   section compose; docker compose version --short 2>/dev/null
   section containers; docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
   section images
   docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
     printf 'image %s\n' "$name"; docker image inspect --format 'IDENTITY' "$name" 2>/dev/null; done
 fi
-section end
 """.replace("IDENTITY", IDENTITY)
+
+END = "section end"
+
+
+def probe(*, images: bool = False) -> str:
+    """The script that asks a robot; with ``images`` also for what it holds of them, which takes longer."""
+    return "\n".join((PROBE, *([stock.PROBE] if images else []), END, ""))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +102,8 @@ class Facts:
     ``docker`` is the engine's version where this login may ask it, ``client`` that of the ``docker`` command. ``packages``
     are the installed ones that provisioning must know of. ``interrupted``: dpkg was stopped in the middle of its work.
     ``docker_source``: apt has the package source that Docker's script writes. ``images`` maps the name of each image that
-    fleet sent to its identity lines (see `IDENTITY`).
+    fleet sent to its identity lines (see `IDENTITY`). ``store`` is the image store's driver, ``containerd`` whether it is
+    containerd's. ``stock`` is empty unless it was asked for.
     """
 
     machine: str = ""
@@ -122,9 +131,11 @@ class Facts:
     docker: str = ""
     client: str = ""
     store: str = ""
+    containerd: bool = False
     compose: str = ""
     containers: tuple[Container, ...] = ()
     images: dict[str, str] = field(default_factory=dict)
+    stock: Stock = field(default_factory=Stock)
     noise: str = ""
 
     @property
@@ -181,10 +192,12 @@ def parse(text: str) -> Facts:
         engine=engine,
         docker=version,
         client=_client(said.get("client", "")),
-        store=said.get("store", ""),
+        store=said.get("store", "").partition(" ")[0],
+        containerd="io.containerd.snapshotter.v1" in said.get("store", ""),
         compose=_compose(said.get("compose", "")),
         containers=_containers(said.get("containers", "")),
         images=_images(said.get("images", "")),
+        stock=stock.parse(said),
         noise=noise.strip(),
     )
 
@@ -236,10 +249,16 @@ def _members(said: str) -> tuple[str, ...] | None:
 
 def _containers(said: str) -> tuple[Container, ...]:
     """One JSON object a line; Docker's warnings are none."""
-    return tuple(_container(json.loads(line)) for line in said.splitlines() if line.startswith("{"))
+    return tuple(filter(None, map(_container, said.splitlines())))
 
 
-def _container(said: dict[str, str]) -> Container:
+def _container(line: str) -> Container | None:
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(said, dict) or not said.keys() >= {"Labels", "Names", "State", "Status"}:
+        return None
     labels = dict(pair.partition("=")[::2] for pair in said["Labels"].split(","))
     return Container(
         name=said["Names"],

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from fleet.facts import Facts
     from fleet.inventory import Robot
-    from fleet.rollout import Line, Watch
+    from fleet.line import Line
+    from fleet.rollout import Watch
 
     Printer = Callable[[str, str], None]
 

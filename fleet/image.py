@@ -12,10 +12,11 @@ import hashlib
 import os
 import threading
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Self
 
 from fleet.errors import DesktopError, ImageError
-from fleet.plan import ImageArchive
+from fleet.plan import Bytes, ImageArchive
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
@@ -42,6 +43,12 @@ class Image:
     identity: str
 
     @property
+    def layers(self) -> tuple[str, ...]:
+        """The digests of its layers' tars (diff IDs), lowest first."""
+        lines = self.identity.splitlines()[1:]
+        return tuple(line.removeprefix("layer ") for line in takewhile(_is_layer, lines))
+
+    @property
     def fingerprint(self) -> str:
         """Twelve hex digits of the SHA-256 of its identity."""
         return hashlib.sha256(self.identity.encode()).hexdigest()[:12]
@@ -50,6 +57,10 @@ class Image:
     def shipped_as(self) -> str:
         """The name it gets on robots."""
         return f"{repository(self.reference)}:fleet-{self.fingerprint}"
+
+
+def _is_layer(line: str) -> bool:
+    return line.startswith("layer ")
 
 
 def repository(reference: str) -> str:
@@ -136,7 +147,18 @@ class Store:
 
     def open(self, feed: Feed) -> Iterable[bytes]:
         """The bytes of a step's feed: an image's archive comes out of the engine as it is read."""
-        return self.archive(feed.image, feed.reference) if isinstance(feed, ImageArchive) else (feed.data,)
+        if isinstance(feed, ImageArchive):
+            return self.archive(feed.image, feed.reference)
+        if isinstance(feed, Bytes):
+            return (feed.data,)
+        raise TypeError(f"{feed.label} is opened by fleet.transfer.sender")
+
+    def export(self, image: Image) -> Generator[bytes]:
+        """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""
+        try:
+            yield from self._client.api.get_image(image.reference, chunk_size=CHUNK)
+        except (self._errors.DockerException, OSError) as problem:
+            raise DesktopError(f"reading image {image.reference} from Docker failed: {problem}") from problem
 
     def archive(self, local: str, reference: str) -> Generator[bytes]:
         """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.

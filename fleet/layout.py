@@ -4,6 +4,8 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
 
     releases/<id>/   compose.yaml  compose.override.yaml  .env  files/    `docker compose up -d` works in it
     current          -> releases/<id>
+    receipts/        what the images there were made of, for a containerd store
+    spool/           pieces of a transfer that was cut; empty otherwise
     history          one line per ship, start, stop, rollback: when, what, release, by whom, what came of it
 
 Every command starts in the login's home directory, so paths are relative to it.
@@ -77,6 +79,7 @@ def write(release: Release) -> Step:
         argv=("sh", "-c", _UNPACK, "sh", folder(release.id)),
         feed=Bytes(label=f"{len(release.files)} files", data=release.archive()),
         harmless=True,
+        resumes=True,
     )
 
 
@@ -97,6 +100,7 @@ def start(robot: Robot, release: str, *, wait: int) -> Step:
         argv=("sh", "-c", _START, "sh", release, *compose(robot, release, "up", *flags)),
         limit=wait + _TURN + 60.0,
         until_closed=True,
+        resumes=True,
     )
 
 

@@ -14,6 +14,9 @@ from fleet.errors import Unreachable
 if TYPE_CHECKING:
     from fleet.errors import FleetError
 
+LONG_SCRIPT = 15
+"""Lines of a script that are shown; of a longer one the first, which is a comment."""
+
 Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
 
 
@@ -47,7 +50,35 @@ class ImageArchive:
         return f"image {self.reference}"
 
 
-Feed = Bytes | ImageArchive
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """Bytes that a robot may ask for, from any offset on: ``digest`` is their SHA-256 in hex, ``size`` their number.
+
+    ``there`` bytes had arrived when the robot was looked at. ``data`` are the bytes where they are few; others lie on this
+    computer under their digest.
+    """
+
+    digest: str
+    size: int
+    there: int = 0
+    data: bytes | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parcel:
+    """Pieces that a robot asks for one after the other; ``label`` is what a person calls them, ``to`` its address."""
+
+    label: str
+    to: str
+    pieces: tuple[Piece, ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes that will be sent: what has arrived in earlier attempts is not sent again."""
+        return sum(piece.size - piece.there for piece in self.pieces)
+
+
+Feed = Bytes | ImageArchive | Parcel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +88,9 @@ class Step:
     ``limit`` is in seconds; the command is ended on the robot when it passes. ``None`` trusts the link's own liveness,
     for commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without
     surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login). One
-    ``until_closed`` has its standard input held open, and ends when the connection does. A ``harmless`` one touches nothing that runs: when it fails, there is nothing to recover yet.
+    ``until_closed`` has its standard input held open, and ends when the connection does. A ``harmless`` one touches
+    nothing that runs: when it fails, there is nothing to recover yet. One that ``resumes`` goes on where it was when it
+    is run again, and so is when the link was lost.
     """
 
     title: str
@@ -69,6 +102,7 @@ class Step:
     fresh_login: bool = False
     until_closed: bool = False
     harmless: bool = False
+    resumes: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +119,10 @@ class Plan:
     """What will be done to one robot.
 
     ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added
-    to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. A plan without steps leaves the robot as it is, and
-    ``summary`` says why; otherwise ``summary`` says what the robot will have become.
+    to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. ``afterwards`` runs
+    when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot as it is, and
+    ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``forecast`` is what is expected of
+    it: bytes, time, disk.
     """
 
     robot: str
@@ -94,7 +130,9 @@ class Plan:
     steps: tuple[Step, ...] = ()
     explain: tuple[Step, ...] = ()
     recover: tuple[Step, ...] = ()
+    afterwards: tuple[Step, ...] = ()
     record: Record | None = None
+    forecast: str = ""
 
     @property
     def size(self) -> int:
@@ -104,7 +142,11 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed."""
+    """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
+
+    ``way`` is how images were sent, where that is not the usual one. ``unusable``: what was sent arrived, and the robot's
+    Docker cannot use it; another way of sending may help.
+    """
 
     robot: str
     status: Status
@@ -114,6 +156,8 @@ class Outcome:
     cure: str = ""
     seconds: float = 0.0
     sent: int = 0
+    way: str = ""
+    unusable: bool = False
 
     @property
     def good(self) -> bool:
@@ -125,6 +169,24 @@ def failure(robot: str, problem: FleetError) -> Outcome:
     """The outcome of a robot whose work ended in an error."""
     status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
     return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
+
+
+def told(outcome: Outcome) -> str:
+    """What became of a robot, in the line that its name begins."""
+    if outcome.good:
+        took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
+        sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
+        return f"{outcome.summary}{sent}{took}"
+    first = outcome.reason.splitlines()[0] if outcome.reason else ""
+    return f"{outcome.step}: {first}" if outcome.step else first
+
+
+def details(outcome: Outcome) -> list[str]:
+    """What is told below the robot's line: the rest of the reason (log lines), then the cure."""
+    if outcome.good:
+        return []
+    lines = [f"  | {line}" for line in outcome.reason.splitlines()[1:]]
+    return [*lines, f"  cure: {outcome.cure}"] if outcome.cure else lines
 
 
 def exit_code(outcomes: tuple[Outcome, ...]) -> int:
@@ -159,8 +221,12 @@ def lines(plan: Plan) -> list[str]:
     ]
     for number, step in enumerate(plan.steps, start=1):
         text += [f"  {number}. {step.title}", _command(step)]
+    if plan.forecast and plan.steps:
+        text.insert(1, f"  {plan.forecast}")
     for step in (*plan.explain, *plan.recover):
         text += [f"  if a step fails: {step.title}", _command(step)]
+    for step in plan.afterwards:
+        text += [f"  when all is well: {step.title}", _command(step)]
     if plan.record and plan.steps:
         text += ["  at the end: one line into ~/.fleet/history"]
     return text
@@ -168,4 +234,11 @@ def lines(plan: Plan) -> list[str]:
 
 def _command(step: Step) -> str:
     fed = f"   # reads {step.feed.label}, {human_bytes(step.feed.size)}" if step.feed else ""
-    return f"     $ {shlex.join(step.argv)}{fed}"
+    return f"     $ {shlex.join(map(_shown, step.argv))}{fed}"
+
+
+def _shown(argument: str) -> str:
+    """A script that is a page long by its first line, which says what it does."""
+    first, _, rest = argument.partition("\n")
+    count = rest.count("\n") + 1
+    return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

@@ -1,7 +1,7 @@
 """How do many robots get their plans, and what became of each?
 
-`each` runs one piece of work per robot in a bounded pool of threads; `apply` carries out one plan on one robot. A
-robot's failure is its outcome, never the others'. Ctrl-C closes every connection, and says what became of each robot.
+`each` runs one piece of work per robot in a bounded pool of threads. A robot's failure is its outcome, never the
+others'. Ctrl-C closes every connection, and says what became of each robot.
 """
 
 from __future__ import annotations
@@ -10,18 +10,16 @@ import queue
 import threading
 import time
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol
 
-from fleet import diagnosis, facts, layout, ssh, terminal
-from fleet.errors import CommandFailed, FleetError, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
+from fleet.errors import FleetError
+from fleet.line import Line
 from fleet.plan import Outcome, failure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from fleet.inventory import Robot
-    from fleet.plan import Feed, Plan, Step
 
 AT_ONCE = 32
 """Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
@@ -36,6 +34,9 @@ class Watch(Protocol):
     def sent(self, robot: str, count: int) -> None:
         """So many more bytes have left."""
 
+    def told(self, robot: str, text: str) -> None:
+        """Something about a robot that a person may want to know, and that is no step."""
+
     def ended(self, outcome: Outcome) -> None:
         """A robot is through."""
 
@@ -49,53 +50,11 @@ class Silence:
     def sent(self, robot: str, count: int) -> None:
         """See `Watch`."""
 
-    def ended(self, outcome: Outcome) -> None:
+    def told(self, robot: str, text: str) -> None:
         """See `Watch`."""
 
-
-class Line:
-    """The line to one robot: connects when first used, can connect afresh, and is closed from outside on Ctrl-C."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        self._session: ssh.Session | None = None
-        self.closed = threading.Event()
-
-    @property
-    def session(self) -> ssh.Session:
-        """The connection. Raises what `fleet.ssh.connect` raises."""
-        if self.closed.is_set():
-            raise LinkLost("interrupted by Ctrl-C")
-        if self._session is None:
-            self._session = ssh.connect(self.robot)
-            if self.closed.is_set():  # Ctrl-C came while it connected
-                self._session.close()
-        return self._session
-
-    def afresh(self) -> None:
-        """Connect anew at the next use: group membership is read at login."""
-        if self._session:
-            self._session.close()
-        self._session = None
-
-    def close(self) -> None:
-        """Close for good; whatever runs on it ends at once."""
-        self.closed.set()
-        if self._session:
-            self._session.close()
-
-    def run(self, *argv: str, limit: float = 60.0) -> str:
-        """The output of a command that must succeed. Raises `CommandFailed`, or what the session raises."""
-        return _succeed(argv, self.session.run(argv, limit=limit))
-
-    def facts(self) -> facts.Facts:
-        """What the robot has now, in one round trip."""
-        answer = self.session.run(("sh", "-c", facts.PROBE), limit=30)
-        if f"{facts.MARK} end" not in answer.output:
-            raise NotAsPlanned(
-                f"the robot's shell did not run the probe: {answer.errors.strip() or 'no answer'}"
-            )
-        return facts.parse(answer.output)
+    def ended(self, outcome: Outcome) -> None:
+        """See `Watch`."""
 
 
 def each(
@@ -129,32 +88,6 @@ def each(
             line.close()
         raise
     return tuple(outcomes[line.robot.name] for line in lines)
-
-
-def apply(plan: Plan, line: Line, *, open_feed: Callable[[Feed], Iterable[bytes]], watch: Watch) -> Outcome:
-    """Carry out one plan. A step that fails ends it: why is asked, what ran before is started again, and both are told."""
-    if not plan.steps:
-        return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-    sent = 0
-
-    def tell(count: int) -> None:
-        nonlocal sent
-        sent += count
-        watch.sent(plan.robot, count)
-
-    touched = False
-    for step in plan.steps:
-        touched = touched or not step.harmless
-        watch.began(plan.robot, step.title, step.feed.size if step.feed else None)
-        try:
-            _do(step, line, open_feed=open_feed, tell=tell)
-        except RobotError as problem:
-            reason, cure = _aftermath(plan, problem, line, watch=watch, touched=touched)
-            return Outcome(
-                robot=plan.robot, status="failed", step=step.title, reason=reason, cure=cure, sent=sent
-            )
-    _note(plan, line, what_came="done")
-    return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=sent)
 
 
 def _work_off(
@@ -206,73 +139,3 @@ def _one(line: Line, work: Callable[[Line], Outcome]) -> Outcome:
     except FleetError as problem:
         outcome = failure(line.robot.name, problem)
     return replace(outcome, seconds=time.monotonic() - started)
-
-
-def _do(
-    step: Step, line: Line, *, open_feed: Callable[[Feed], Iterable[bytes]], tell: Callable[[int], None]
-) -> None:
-    """Run one step and believe only its proof."""
-    if step.fresh_login:
-        line.afresh()
-    nothing = None if step.until_closed else ()
-    feed = open_feed(step.feed) if step.feed else nothing
-    result = line.session.run(step.argv, feed=feed, limit=step.limit, sent=tell)
-    output = _succeed(step.argv, result, cure=step.cure)
-    # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".
-    if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
-        said = output.strip().splitlines()[-1:] or ["nothing"]
-        raise NotAsPlanned(f"the proof fails: it says {said[0][:200]!r}", cure=step.cure)
-
-
-def _succeed(argv: Sequence[str], result: ssh.Result, *, cure: str = "") -> str:
-    if result.code == 0:
-        return result.output
-    said = result.errors.strip() or result.output.strip()
-    what, known_cure = diagnosis.explain(said)
-    raise CommandFailed(
-        what or f"`{argv[0]}` ended with code {result.code}",
-        cure=known_cure or cure,
-        code=result.code,
-        output=said,
-    )
-
-
-def _aftermath(
-    plan: Plan, problem: RobotError, line: Line, *, watch: Watch, touched: bool
-) -> tuple[str, str]:
-    """Ask why, start what ran before (where that was ``touched``), note the failure.
-
-    Returns the reason, with all that was learned, and the cure.
-    """
-    reason = problem.what
-    if isinstance(problem, LinkLost | TimedOut | Unreachable):
-        line.afresh()
-    if isinstance(problem, LinkLost | Unreachable):
-        return reason, problem.cure or "run the same command again when the robot is back"
-    for step in plan.explain if touched else ():
-        if said := _ask(step, line):
-            reason += "\n" + said
-    for step in plan.recover if touched else ():
-        watch.began(plan.robot, step.title, None)
-        try:
-            _do(step, line, open_feed=lambda _: (), tell=lambda _: None)
-            reason += f"\n(went back: {step.title})"
-        except RobotError as second:
-            reason += f"\nand then `{step.title}` failed: {second.what}"
-    _note(plan, line, what_came=f"failed: {problem.what}")
-    return reason, problem.cure
-
-
-def _ask(step: Step, line: Line) -> str:
-    try:
-        # Compose writes control sequences into logs even where no terminal reads them.
-        return terminal.plain(line.session.run(step.argv, limit=step.limit).output).strip()
-    except RobotError:
-        return ""
-
-
-def _note(plan: Plan, line: Line, *, what_came: str) -> None:
-    """Keep the history; a robot whose disk is full cannot, and what it runs matters more."""
-    if plan.record:
-        when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        _ask(layout.note(plan.record, when=when, what_came=what_came), line)

@@ -9,42 +9,47 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fleet import layout
+from fleet import layout, prune
 from fleet.errors import NotReady
-from fleet.facts import IDENTITY
-from fleet.plan import ImageArchive, Plan, Record, Step, human_bytes
+from fleet.plan import Plan, Record, Step
 
 if TYPE_CHECKING:
     from fleet.facts import Facts
     from fleet.image import Image
     from fleet.inventory import Robot
     from fleet.release import Release
+    from fleet.transfer.delivery import Delivery
 
 HEALTHY_WITHIN = 180
 """Seconds a release has to become healthy: a cold Pi needs 20, an emulated one on a busy desktop two minutes."""
 
-ROOM = 2.2
-"""Free space needed per byte of image: ``docker load`` stages the archive and then unpacks it, and both are on disk."""
+
+def missing(release: Release, facts: Facts) -> tuple[Image, ...]:
+    """The images of a release that a robot does not have."""
+    return tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
 
 
-def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
+def plan(
+    *, robot: Robot, release: Release, facts: Facts, delivery: Delivery, by: str, keep: int = prune.KEEP
+) -> Plan:
     """The steps from what the robot has (``facts``) to ``release``; none where it already runs it.
 
+    ``delivery`` brings the images that are `missing`. Afterwards the ``keep`` newest releases stay.
+
     Raises:
-        NotReady: the robot cannot take it: no usable Docker, another architecture, not enough space.
+        NotReady: the robot cannot take it: no usable Docker, another architecture.
 
     """
     ready(facts, robot=robot)
-    missing = tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
     there = facts.current == release.id and facts.checksum == release.checksum
     others = tuple(container.name for container in facts.containers if container.stack != release.stack)
-    if there and not missing and not others and _runs(release, facts):
+    if there and not delivery.steps and not others and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
-    _room(missing, facts=facts)
+    images = tuple(image.shipped_as for image in release.images)
     steps = (
         layout.write(release),
         _check(robot, release.id),
-        *(step for image in missing for step in (_load(image), _prove(image))),
+        *delivery.steps,
         *_clear(others),
         layout.start(robot, release.id, wait=HEALTHY_WITHIN),
     )
@@ -54,7 +59,9 @@ def plan(*, robot: Robot, release: Release, facts: Facts, by: str) -> Plan:
         steps=steps,
         explain=(layout.last_words(robot, release.id),),
         recover=_previous(robot, facts, failed=release.id),
+        afterwards=prune.after(facts, keep=keep, shipped=release.id, images=images),
         record=Record(verb="ship", release=release.id, by=by),
+        forecast=delivery.forecast,
     )
 
 
@@ -123,43 +130,14 @@ def _runs(release: Release, facts: Facts) -> bool:
     return healthy >= set(release.services)
 
 
-def _room(missing: tuple[Image, ...], *, facts: Facts) -> None:
-    needed = ROOM * sum(image.size for image in missing)
-    if needed > facts.disk_free:
-        raise NotReady(
-            f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk_free)}",
-            cure="`docker system df` on the robot shows what Docker uses; `docker image prune` frees the unused",
-        )
-
-
 def _check(robot: Robot, release: str) -> Step:
     return Step(
         title="let the robot's Compose check the release",
         argv=layout.compose(robot, release, "config", "--quiet"),
         limit=30.0,
         harmless=True,
+        resumes=True,
         cure="mend the Compose file or the robot's values in the inventory",
-    )
-
-
-def _load(image: Image) -> Step:
-    return Step(
-        title=f"load {image.shipped_as}",
-        argv=("docker", "load", "--quiet"),
-        feed=ImageArchive(image=image.reference, reference=image.shipped_as, size=image.size),
-        limit=None,
-        harmless=True,
-    )
-
-
-def _prove(image: Image) -> Step:
-    """`docker load` is not believed: a containerd store says ``Loaded image`` of a broken one."""
-    return Step(
-        title="prove that what arrived is what was sent",
-        argv=("docker", "image", "inspect", "--format", IDENTITY, image.shipped_as),
-        expect=image.identity,
-        harmless=True,
-        cure="run the same command again",
     )
 
 

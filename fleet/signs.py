@@ -58,6 +58,11 @@ SIGNS = (
         "its clock is ahead, or nobody cares for {0} any more",
         "`fab provision` sets the clock",
     ),
+    Sign(
+        r"^(\S+) is shipping to this robot",
+        "{0} is shipping to it just now",
+        "wait until that is done, then run the same command again",
+    ),
     # sudo.
     Sign(
         r"sudo: (?:a password is required|a terminal is required|no tty present|sorry, you must have a tty)",

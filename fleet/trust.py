@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from fleet.hostkeys import HostKey, Verdict
     from fleet.inventory import Robot
-    from fleet.rollout import Line, Watch
+    from fleet.line import Line
+    from fleet.rollout import Watch
 
 
 @dataclass(frozen=True, kw_only=True)

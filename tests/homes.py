@@ -53,6 +53,7 @@ class Told:
     def __init__(self) -> None:
         self.began_with: list[tuple[str, str, int | None]] = []
         self.bytes = 0
+        self.said: list[tuple[str, str]] = []
         self.ended_with: list[Outcome] = []
 
     def began(self, robot: str, title: str, size: int | None) -> None:
@@ -60,6 +61,9 @@ class Told:
 
     def sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
         self.bytes += count
+
+    def told(self, robot: str, text: str) -> None:
+        self.said.append((robot, text))
 
     def ended(self, outcome: Outcome) -> None:
         self.ended_with.append(outcome)

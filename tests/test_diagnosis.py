@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 # What the tools really print: Docker 20.10 and 26.1, Compose 2.26, apt 3.0 and dpkg 1.22, sudo 1.9, curl 8, dash, bash.
 HEARD = [
+    ("tim@desktop is shipping to this robot", "tim@desktop is shipping to it just now", "wait until"),
     (
         "write /var/lib/docker/tmp/GetImageBlob1: no space left on device",
         "its disk is full",

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet import facts
-from fleet.facts import MARK, PROBE, Container, Facts, parse
+from fleet.facts import MARK, Container, Facts, parse, probe
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,12 @@ def probed(home: Path, shell: str = "sh", path: str = "") -> str:
     argv = (shell, "sh") if shell == "busybox" else (shell,)
     environment = {"HOME": str(home), "PATH": path or os.environ["PATH"]}
     return subprocess.run(
-        (*argv, "-c", PROBE), env=environment, cwd=home, capture_output=True, text=True, check=True
+        (*argv, "-c", probe(images=True)),
+        env=environment,
+        cwd=home,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
 
 
@@ -248,7 +253,8 @@ def test_sections_that_are_missing_leave_the_defaults() -> None:
 
 @given(
     st.dictionaries(
-        st.sampled_from(PROBE.split("section ")[1:]).map(lambda s: s.split(";")[0].split()[0]), st.text()
+        st.sampled_from(probe(images=True).split("section ")[1:]).map(lambda s: s.split(";")[0].split()[0]),
+        st.text(),
     )
 )
 def test_garbage_in_any_section_is_no_traceback(sections: dict[str, str]) -> None:
@@ -330,4 +336,4 @@ def test_platforms_are_those_of_the_userland_then_the_emulated(
 def test_the_identity_of_images_is_asked_for_as_docker_takes_it() -> None:
     """It goes through ``sh`` in single quotes, so it may have none of its own."""
     assert "'" not in facts.IDENTITY
-    assert facts.IDENTITY in PROBE
+    assert facts.IDENTITY in probe()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list"),
+    *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune"),
 }
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fleet import build as builds
 from fleet import containers, image, script
 from fleet import provision as provisioning
+from fleet import prune as prune_old
 from fleet import release as releases
 from fleet import ship as shipping
 from fleet import trust as trusting
@@ -16,11 +18,15 @@ from fleet.console import Screen
 from fleet.dockercli import buildkit_client
 from fleet.execute import execute, whoami
 from fleet.tasks.chosen import select
+from fleet.transfer.delivery import WAYS
+from fleet.transfer.pace import Pace, bytes_per_second
+from fleet.transfer.sender import Sender
 
 if TYPE_CHECKING:
     from fleet.facts import Facts
     from fleet.inventory import Robot
     from fleet.plan import Plan
+    from fleet.transfer.delivery import Way
 
 
 @verb({"yes": "record without asking", "changed": "also replace keys that have changed"})
@@ -87,22 +93,65 @@ def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: 
     screen.images(found, json=json)
 
 
-@verb()
-def ship(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
-    """Send the images and releases, and start them.
+@verb(
+    {
+        "limit": "the most all robots together may be sent: 8Mbit, or 1MB, per second",
+        "patience": "seconds to try to get a lost link back; default: 180",
+        "keep": "releases that stay on a robot; default: 3",
+    }
+)
+def ship(
+    hosts: str = "all",
+    limit: str = "",
+    patience: int = 180,
+    keep: int = prune_old.KEEP,
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+) -> int:
+    """Send what is missing of the images, and start them.
 
-    Waits until every container is healthy; where one does not start, the release before it runs again. A second run
-    changes nothing.
+    Waits until every container is healthy; where one does not start, the release before it runs again. What a lost link
+    cut off is gone on with. A second run changes nothing.
     """
     fleet, robots = select(inventory, hosts)
     stack = releases.read_stack(fleet.stack)
-    with image.Store() as store:
+    pace = Pace(bytes_per_second(limit))
+    with image.Store() as store, Sender.using(store, pace=pace, by=whoami()) as sender:
         composed = {robot: releases.compose(robot=robot, stack=stack, find=store.find) for robot in robots}
 
-        def make(robot: Robot, facts: Facts) -> Plan:
-            return shipping.plan(robot=robot, release=composed[robot], facts=facts, by=whoami())
+        def make(robot: Robot, facts: Facts, *, way: Way) -> Plan:
+            shipping.ready(facts, robot=robot)
+            release = composed[robot]
+            missing = shipping.missing(release, facts)
+            delivery = sender.deliver(missing, robot=robot, facts=facts, way=way)
+            return shipping.plan(
+                robot=robot, release=release, facts=facts, delivery=delivery, by=whoami(), keep=keep
+            )
 
-        return execute(robots, make, dry=dry, json=json, screen=Screen(), open_feed=store.open)
+        ladder = [partial(make, way=way) for way in WAYS]
+        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, patience=patience)
+        return run(dry=dry, json=json, screen=Screen())
+
+
+@verb({"keep": "releases that stay on a robot; default: 3"})
+def prune(
+    hosts: str = "all",
+    keep: int = prune_old.KEEP,
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+) -> int:
+    """Remove old releases and their images.
+
+    Only those that fleet made; the current release and the one before it always stay.
+    """
+
+    def make(robot: Robot, facts: Facts) -> Plan:
+        shipping.ready(facts, robot=robot)
+        return prune_old.plan(robot=robot, facts=facts, keep=keep, by=whoami())
+
+    return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen(), images=True)
 
 
 @verb({"to": "the release to go back to; default: the one that ran before"})
@@ -147,7 +196,7 @@ def restart(hosts: str = "all", dry: bool = False, json: bool = False, inventory
     return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory)
 
 
-VERBS = (trust, provision, build, ship, rollback, start, stop, restart)
+VERBS = (trust, provision, build, ship, rollback, prune, start, stop, restart)
 
 
 def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, inventory: str) -> int:

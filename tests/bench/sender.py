@@ -15,16 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet import inventory
+from fleet.apply import apply
 from fleet.console import Screen
 from fleet.image import Store
 from fleet.plan import ImageArchive, Plan, Step
-from fleet.rollout import apply, each
+from fleet.rollout import each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from fleet.line import Line
     from fleet.plan import Feed, Outcome
-    from fleet.rollout import Line
 
 MEGABYTE = 1 << 20
 

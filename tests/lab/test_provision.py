@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet import apt, hostkeys, inventory, lab, provision, rollout, script, ssh
+from fleet import apt, hostkeys, inventory, lab, provision, script, ssh
+from fleet.apply import apply
 from fleet.errors import NotReady
+from fleet.line import Line
 from fleet.plan import Bytes
 
 if TYPE_CHECKING:
@@ -34,6 +36,9 @@ class Ear:
         self.steps.append(title)
 
     def sent(self, robot: str, count: int) -> None:
+        pass
+
+    def told(self, robot: str, text: str) -> None:
         pass
 
     def ended(self, outcome: Outcome) -> None:
@@ -70,7 +75,7 @@ class Target:
             self.root(mended_by)
 
     def facts(self) -> Facts:
-        line = rollout.Line(self.robot)
+        line = Line(self.robot)
         try:
             return line.facts()
         finally:
@@ -85,11 +90,9 @@ class Target:
 
     def provision(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> tuple[Outcome, list[str]]:
         """What became of it, and the steps that began."""
-        ear, line = Ear(), rollout.Line(self.robot)
+        ear, line = Ear(), Line(self.robot)
         try:
-            return rollout.apply(
-                self.plan(script, bounds=bounds), line, open_feed=opened, watch=ear
-            ), ear.steps
+            return apply(self.plan(script, bounds=bounds), line, open_feed=opened, watch=ear), ear.steps
         finally:
             line.close()
 

@@ -1,0 +1,213 @@
+"""How is one plan carried out on one robot, and what became of it?
+
+A step is believed by its proof only. When the link is lost, a step that resumes is run again on a new connection.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from fleet import layout, terminal
+from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
+from fleet.line import output_of
+from fleet.plan import Outcome, human_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from fleet.line import Line
+    from fleet.plan import Feed, Plan, Step
+    from fleet.rollout import Watch
+
+    Opener = Callable[[Feed], Iterable[bytes]]
+
+PATIENCE = 180.0
+"""Seconds to try to get a lost link back, counted from the last byte that left."""
+
+_PAUSES = (1.0, 2.0, 4.0, 8.0, 15.0)
+"""Seconds between attempts to connect again; the last one for all that follow."""
+
+UNUSABLE = 65
+"""The exit code of commands that got all they were to get, and cannot use it (sysexits.h, EX_DATAERR)."""
+
+
+@runtime_checkable
+class Conversation(Protocol):
+    """Bytes to send that depend on what the robot says: it hears that, and is closed when nobody asks any more."""
+
+    tell: Callable[[str], None]
+
+    def heard(self, data: bytes) -> None:
+        """Take a piece of the robot's output."""
+
+    def close(self) -> None:
+        """Nobody asks any more."""
+
+    def __iter__(self) -> Iterator[bytes]:
+        """The bytes, as they are asked for."""
+
+
+def apply(
+    plan: Plan,
+    line: Line,
+    *,
+    open_feed: Opener,
+    watch: Watch,
+    patience: float = PATIENCE,
+) -> Outcome:
+    """Carry out one plan.
+
+    A step that can go on where it was is run again when the link comes back within ``patience`` seconds. One that fails
+    ends the plan: why is asked, what ran before is started again, and both are told.
+    """
+    if not plan.steps:
+        return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
+    work = _Work(plan, line, open_feed=open_feed, watch=watch, patience=patience)
+    if plan.forecast:
+        watch.told(plan.robot, plan.forecast)
+    touched = False
+    for step in plan.steps:
+        touched = touched or not step.harmless
+        try:
+            work.persist(step)
+        except RobotError as problem:
+            outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
+            return replace(outcome, sent=work.bytes)
+    _note(plan, line, what_came="done")
+    for step in plan.afterwards:
+        watch.began(plan.robot, step.title, None)
+        _ask(step, line)
+    return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes)
+
+
+class _Work:
+    """One plan being carried out: what all of its steps need, and how many bytes they have sent."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        line: Line,
+        *,
+        open_feed: Opener,
+        watch: Watch,
+        patience: float,
+    ) -> None:
+        self._robot = plan.robot
+        self._line = line
+        self._open_feed = open_feed
+        self._watch = watch
+        self._patience = patience
+        self.bytes = 0
+
+    def persist(self, step: Step) -> None:
+        """Run a step; when the link is lost under one that resumes, connect again and go on."""
+        patient_until, pauses = time.monotonic() + self._patience, iter(_PAUSES)
+        while True:
+            before = self.bytes
+            try:
+                return self._do(step)
+            except (LinkLost, Unreachable) as problem:
+                if self.bytes > before:
+                    patient_until, pauses = time.monotonic() + self._patience, iter(_PAUSES)
+                left = patient_until - time.monotonic()
+                if not step.resumes or left <= 0 or self._line.closed.is_set():
+                    raise
+                self._watch.told(self._robot, f"{problem.what}; trying again for {human_seconds(left)}")
+                self._line.afresh()
+                self._line.closed.wait(min(left, next(pauses, _PAUSES[-1])))
+
+    def _do(self, step: Step) -> None:
+        self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
+        feed = self._open_feed(step.feed) if step.feed else None
+        if not isinstance(feed, Conversation):
+            _do(step, self._line, feed=feed, tell=self._tell)
+            return
+        feed.tell = lambda text: self._watch.began(self._robot, text, None)
+        try:
+            _do(step, self._line, feed=feed, tell=self._tell, heard=feed.heard)
+        finally:
+            feed.close()
+
+    def _tell(self, count: int) -> None:
+        self.bytes += count
+        self._watch.sent(self._robot, count)
+
+
+def _do(
+    step: Step,
+    line: Line,
+    *,
+    feed: Iterable[bytes] | None = None,
+    tell: Callable[[int], None] | None = None,
+    heard: Callable[[bytes], None] | None = None,
+) -> None:
+    """Run one step and believe only its proof."""
+    if step.fresh_login:
+        line.afresh()
+    nothing = None if step.until_closed else ()
+    said = nothing if feed is None else feed
+    result = line.session.run(step.argv, feed=said, limit=step.limit, sent=tell, heard=heard)
+    output = output_of(step.argv, result, cure=step.cure)
+    # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".
+    if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
+        last = output.strip().splitlines()[-1:] or ["nothing"]
+        raise NotAsPlanned(f"the proof fails: it says {last[0][:200]!r}", cure=step.cure)
+
+
+def _failed(
+    plan: Plan, step: Step, problem: RobotError, line: Line, *, watch: Watch, touched: bool
+) -> Outcome:
+    reason, cure = _aftermath(plan, problem, line, watch=watch, touched=touched)
+    unusable = isinstance(problem, NotAsPlanned) or getattr(problem, "code", 0) == UNUSABLE
+    return Outcome(
+        robot=plan.robot,
+        status="failed",
+        step=step.title,
+        reason=reason,
+        cure=cure,
+        unusable=unusable and not touched,
+    )
+
+
+def _aftermath(
+    plan: Plan, problem: RobotError, line: Line, *, watch: Watch, touched: bool
+) -> tuple[str, str]:
+    """Ask why, start what ran before (where that was ``touched``), note the failure.
+
+    Returns the reason, with all that was learned, and the cure.
+    """
+    reason = problem.what
+    if isinstance(problem, LinkLost | TimedOut | Unreachable):
+        line.afresh()
+    if isinstance(problem, LinkLost | Unreachable):
+        return reason, problem.cure or "run the same command again when the robot is back"
+    for step in plan.explain if touched else ():
+        if said := _ask(step, line):
+            reason += "\n" + said
+    for step in plan.recover if touched else ():
+        watch.began(plan.robot, step.title, None)
+        try:
+            _do(step, line)
+            reason += f"\n(went back: {step.title})"
+        except RobotError as second:
+            reason += f"\nand then `{step.title}` failed: {second.what}"
+    _note(plan, line, what_came=f"failed: {problem.what}")
+    return reason, problem.cure
+
+
+def _ask(step: Step, line: Line) -> str:
+    try:
+        # Compose writes control sequences into logs even where no terminal reads them.
+        return terminal.plain(line.session.run(step.argv, limit=step.limit).output).strip()
+    except RobotError:
+        return ""
+
+
+def _note(plan: Plan, line: Line, *, what_came: str) -> None:
+    """Keep the history; a robot whose disk is full cannot, and what it runs matters more."""
+    if plan.record:
+        when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        _ask(layout.note(plan.record, when=when, what_came=what_came), line)

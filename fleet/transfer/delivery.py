@@ -1,0 +1,157 @@
+"""Which steps bring images to a robot, and what will that take? Pure: from what is wanted and what is there to steps.
+
+There are three ways, each the fallback of the one before: the layers that are missing, all layers, and the plain archive of
+``docker save``. The first two are gathered in the robot's spool and go on after a cut; the third needs nothing of the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from fleet.errors import NotReady
+from fleet.facts import IDENTITY
+from fleet.plan import ImageArchive, Parcel, Piece, Step, human_bytes, human_seconds
+from fleet.transfer import archive, receive
+from fleet.transfer.pieces import Lack, lacking
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from fleet.facts import Facts
+    from fleet.image import Image
+    from fleet.transfer.archive import Wanted
+    from fleet.transfer.pieces import Blob
+
+Way = Literal["missing layers", "all layers", "plain stream"]
+WAYS: tuple[Way, ...] = ("missing layers", "all layers", "plain stream")
+
+LONG_WINDOW = 700_000_000
+"""Bytes of memory a robot needs for layers packed with a window of 128 MiB, which dockerd keeps while it unpacks."""
+
+SLACK = 1.05
+"""File systems and stores add a little to what they hold."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """The steps that bring images, nothing where none is missing, and what they will take, in words."""
+
+    steps: tuple[Step, ...] = ()
+    forecast: str = ""
+
+
+def lack(images: Sequence[Image], facts: Facts, *, way: Way) -> Lack:
+    """What must be sent of some images; ``all layers`` believes nothing of what seems to be there."""
+    believed = way == "missing layers"
+    return lacking(
+        [image.layers for image in images],
+        chains=facts.stock.chains if believed else (),
+        manifests=facts.stock.manifests if believed else (),
+        containerd=facts.containerd,
+    )
+
+
+def encoding(facts: Facts) -> Literal["zstd-long", "zstd", "gzip"]:
+    """How layers are packed for a robot: Docker reads zstd from version 23 on."""
+    major = facts.docker.partition(".")[0]
+    if not (major.isdecimal() and int(major) >= 23):
+        return "gzip"
+    return "zstd" if 0 < facts.stock.memory < LONG_WINDOW else "zstd-long"
+
+
+def pieces(
+    images: Sequence[tuple[Image, Wanted]],
+    *,
+    lack: Lack,
+    packed: Mapping[str, Blob],
+    facts: Facts,
+    to: str,
+    token: str,
+    by: str,
+    rate: float | None,
+) -> Delivery:
+    """Send the layers that a robot lacks; ``packed`` holds them, ``rate`` is the link's last known, in bytes per second.
+
+    Raises:
+        NotReady: the robot's disk would not hold them.
+
+    """
+    sent = tuple({packed[one].digest: packed[one] for one in lack.send}.values())
+    frame = archive.frame([wanted for _, wanted in images], blobs={**lack.there, **packed}, sent=sent)
+    parts = [Piece(digest=frame.hex, size=len(frame.data), data=frame.data)]
+    parts += [Piece(digest=blob.hex, size=blob.size, there=_there(blob, facts)) for blob in sent]
+    label = f"{len(sent)} of {lack.layers} layers"
+    parcel = Parcel(label=label, to=to, pieces=tuple(parts))
+    after = _room(sent, parcel, facts)
+    took = f", about {human_seconds(parcel.size / rate)} at {human_bytes(rate)}/s" if rate else ""
+    resumed = sum(part.there for part in parts)
+    earlier = f" ({human_bytes(resumed)} came earlier)" if resumed else ""
+    return Delivery(
+        steps=(
+            receive.step(parcel, frame, title=f"send {label}", token=token, by=by),
+            *(_prove(image) for image, _ in images),
+        ),
+        forecast=f"has {lack.layers - len(lack.send)} of {lack.layers} layers, sends {human_bytes(parcel.size)}{earlier}{took}; "
+        f"disk: {human_bytes(facts.disk_free)} free, {human_bytes(after)} afterwards",
+    )
+
+
+def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
+    """Send whole images as ``docker save`` writes them, into ``docker load``: what always works.
+
+    Raises:
+        NotReady: the robot's disk would not hold them.
+
+    """
+    size = sum(image.size for image in images)
+    _refuse(2 * SLACK * size, facts)
+    steps = (step for image in images for step in (_load(image), _prove(image)))
+    return Delivery(steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images")
+
+
+def _there(blob: Blob, facts: Facts) -> int:
+    return min(facts.stock.spool.get(blob.hex, 0), blob.size)
+
+
+def _room(sent: Sequence[Blob], parcel: Parcel, facts: Facts) -> float:
+    """Refuse what does not fit; the bytes that will be free afterwards.
+
+    At the peak the spool and Docker's own copy of the archive are there, packed, and the layers, unpacked. A containerd
+    store keeps the packed ones.
+    """
+    packed = sum(blob.size for blob in sent)
+    unpacked = SLACK * sum(blob.unpacked for blob in sent)
+    _refuse(parcel.size + packed + unpacked, facts)
+    return facts.disk_free - unpacked - (packed if facts.containerd else 0)
+
+
+def _refuse(needed: float, facts: Facts) -> None:
+    if needed > facts.disk_free:
+        raise NotReady(
+            f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk_free)}",
+            cure="`fab prune` removes old releases; `docker system df` there shows what Docker uses",
+        )
+
+
+def _load(image: Image) -> Step:
+    return Step(
+        title=f"load {image.shipped_as}",
+        argv=("docker", "load", "--quiet"),
+        feed=ImageArchive(image=image.reference, reference=image.shipped_as, size=image.size),
+        limit=None,
+        harmless=True,
+        resumes=True,
+    )
+
+
+def _prove(image: Image) -> Step:
+    """`docker load` is not believed: a containerd store says ``Loaded image`` of a broken one."""
+    return Step(
+        title="prove that what arrived is what was sent",
+        argv=("docker", "image", "inspect", "--format", IDENTITY, image.shipped_as),
+        expect=image.identity,
+        harmless=True,
+        resumes=True,
+        cure="run the same command again",
+    )

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from homes import Home, Told, start
+
+from fleet.apply import apply
+from fleet.errors import DesktopError
+from fleet.line import Line
+from fleet.plan import Bytes, ImageArchive, Outcome, Plan, Record, Step
+from fleet.rollout import each
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from sshd import Sshds
+
+    from fleet.plan import Feed
+
+RECORD = Record(verb="ship", release="abc", by="tim@desktop")
+
+
+@pytest.fixture
+def home(sshds: Sshds) -> Home:
+    return start(sshds, "pi1")
+
+
+def sh(
+    script: str, *, title: str = "do", harmless: bool = False, limit: float = 20.0, expect: str | None = None
+) -> Step:
+    return Step(title=title, argv=("sh", "-c", script), harmless=harmless, limit=limit, expect=expect)
+
+
+def open_bytes(feed: Feed) -> Iterable[bytes]:
+    assert isinstance(feed, Bytes)
+    return (feed.data[:3], feed.data[3:])
+
+
+def applied(home: Home, plan: Plan, *, watch: Told | None = None) -> Outcome:
+    line = Line(home.robot)
+    try:
+        return apply(plan, line, open_feed=open_bytes, watch=watch or Told())
+    finally:
+        line.close()
+
+
+def test_a_plan_is_carried_out_step_by_step(home: Home) -> None:
+    """In order, each told as it begins, bytes counted as they leave, and one line of history at the end."""
+    steps = (
+        Step(title="write", argv=("sh", "-c", "cat > file"), feed=Bytes(label="b", data=b"hello you")),
+        sh("cat file", title="prove", expect="hello you\n"),
+    )
+    told = Told()
+    outcome = applied(home, Plan(robot="pi1", summary="release abc", steps=steps, record=RECORD), watch=told)
+    assert outcome == Outcome(robot="pi1", status="done", summary="release abc", sent=9)
+    assert told.began_with == [("pi1", "write", 9), ("pi1", "prove", None)]
+    assert told.bytes == 9
+    (line,) = home.history
+    assert line[1:] == ["ship", "abc", "tim@desktop", "done"]
+    assert line[0].startswith("20")
+    assert home.logins == 1
+
+
+def test_a_plan_without_steps_does_not_even_connect(home: Home) -> None:
+    """Unchanged is free, and leaves no line."""
+    outcome = applied(home, Plan(robot="pi1", summary="runs release abc", record=RECORD))
+    assert outcome == Outcome(robot="pi1", status="unchanged", summary="runs release abc")
+    assert (home.logins, home.history) == (0, [])
+
+
+def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(home: Home) -> None:
+    """Steps after it do not run; the history says that and why it failed."""
+    plan = Plan(
+        robot="pi1",
+        summary="release abc",
+        steps=(sh("echo boom >&2; exit 1", title="start it"), sh("touch never")),
+        explain=(sh("printf 'last \\033[31mword\\033[0m\\nof it\\n'"),),
+        recover=(sh("touch recovered", title="start release old"),),
+        record=RECORD,
+    )
+    told = Told()
+    assert applied(home, plan, watch=told) == Outcome(
+        robot="pi1",
+        status="failed",
+        step="start it",
+        reason="boom\nlast word\nof it\n(went back: start release old)",
+    )
+    assert [title for _, title, _ in told.began_with] == ["start it", "start release old"]
+    assert (home.path / "recovered").exists()
+    assert not (home.path / "never").exists()
+    assert [line[1:] for line in home.history] == [["ship", "abc", "tim@desktop", "failed: boom"]]
+
+
+def test_a_recovery_that_fails_too_is_told(home: Home) -> None:
+    """Both reasons, and nothing is hidden by the second."""
+    plan = Plan(
+        robot="pi1",
+        summary="",
+        steps=(sh("echo boom >&2; exit 1"),),
+        recover=(sh("echo worse >&2; exit 2", title="start release old"), sh("touch third")),
+    )
+    assert applied(home, plan).reason == "boom\nand then `start release old` failed: worse\n(went back: do)"
+    assert (home.path / "third").exists()
+    assert home.history == []
+
+
+def test_nothing_is_recovered_where_nothing_was_touched(home: Home) -> None:
+    """A load that fails leaves alone what runs; only from the first step that is not harmless on is there a way back."""
+    back = (sh("touch recovered"),)
+    fails = sh("exit 1", harmless=True)
+    before = Plan(
+        robot="pi1", summary="", steps=(sh("true", harmless=True), fails), explain=back, recover=back
+    )
+    assert applied(home, before).reason == "`sh` ended with code 1"
+    assert not (home.path / "recovered").exists()
+    after = Plan(robot="pi1", summary="", steps=(sh("true"), fails), recover=back)
+    assert applied(home, after).reason == "`sh` ended with code 1\n(went back: do)"
+    assert (home.path / "recovered").exists()
+
+
+@pytest.mark.parametrize(
+    ("script", "expect", "proven"),
+    [
+        ("echo active", "active", True),
+        ("echo ' active '", "active\n", True),
+        ("echo one; echo two", "one\ntwo", True),
+        ("echo inactive", "active", False),
+        ("echo one; echo two", "one", False),
+        ("true", "active", False),
+    ],
+)
+def test_a_step_is_believed_by_its_proof_only(home: Home, script: str, expect: str, proven: bool) -> None:
+    """Exit code 0 is not enough where an output was promised."""
+    step = Step(title="prove", argv=("sh", "-c", script), expect=expect, cure="run it again")
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)))
+    assert outcome.status == ("done" if proven else "failed")
+    if not proven:
+        said = {"echo inactive": "'inactive'", "true": "'nothing'"}.get(script, "'two'")
+        assert (outcome.reason, outcome.cure) == (f"the proof fails: it says {said}", "run it again")
+
+
+def test_a_proof_comes_after_what_login_scripts_print(sshds: Sshds) -> None:
+    """A robot that greets is no liar."""
+    home = start(sshds, "pi1", before="echo Welcome to pi1")
+    assert (
+        applied(home, Plan(robot="pi1", summary="", steps=(sh("echo yes", expect="yes"),))).status == "done"
+    )
+
+
+def test_a_step_that_takes_too_long_is_ended_and_recovered_from(home: Home) -> None:
+    """On a new connection: the old one may be what hangs."""
+    plan = Plan(
+        robot="pi1",
+        summary="",
+        steps=(sh("sleep 20", title="hang", limit=1.0),),
+        recover=(sh("touch recovered", title="back"),),
+        record=RECORD,
+    )
+    outcome = applied(home, plan)
+    assert (outcome.status, outcome.step) == ("failed", "hang")
+    assert outcome.reason == "`sh` took longer than 1 s and was ended on the robot\n(went back: back)"
+    assert (home.path / "recovered").exists()
+    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was ended on the robot"
+    assert home.logins == 2
+
+
+def test_a_link_that_is_cut_in_a_step_is_told_with_what_to_do(home: Home) -> None:
+    """Nothing is recovered over a link that is gone; the reason says so within seconds."""
+
+    def cut() -> None:
+        while not (home.path / "began").exists():
+            time.sleep(0.01)
+        home.server.stop()
+
+    plan = Plan(
+        robot="pi1",
+        summary="",
+        steps=(sh("touch began; sleep 20", title="start it", limit=40),),
+        recover=(sh("touch recovered"),),
+    )
+    threading.Thread(target=cut).start()
+    began = time.monotonic()
+    outcome = applied(home, plan)
+    assert time.monotonic() - began < 20
+    assert (outcome.status, outcome.step) == ("failed", "start it")
+    assert "lost" in outcome.reason
+    assert "\n" not in outcome.reason
+    assert outcome.cure
+
+
+@pytest.mark.parametrize(("until_closed", "status"), [(True, "done"), (False, "failed")])
+def test_a_step_that_ends_with_its_connection_finds_its_input_open(
+    home: Home, until_closed: bool, status: str
+) -> None:
+    """The end of its input is how it learns that nobody is there any more; others read nothing at once."""
+    waits = ("sh", "-c", "timeout 0.5 cat; test $? = 124")
+    step = Step(title="wait", argv=waits, until_closed=until_closed)
+    assert applied(home, Plan(robot="pi1", summary="", steps=(step,))).status == status
+
+
+def test_a_step_with_a_fresh_login_has_a_connection_of_its_own(home: Home) -> None:
+    """So it sees the groups that the step before gave it."""
+    fresh = Step(title="", argv=("true",), fresh_login=True)
+    assert (
+        applied(home, Plan(robot="pi1", summary="", steps=(sh("true"), fresh, sh("true")))).status == "done"
+    )
+    assert home.logins == 2
+
+
+def test_bytes_that_cannot_be_had_here_fail_the_robot_and_not_the_program(home: Home) -> None:
+    """Docker on the desktop stopped in the middle of an image."""
+
+    def broken() -> Iterable[bytes]:
+        yield b"first bytes"
+        raise DesktopError("reading image talker from Docker failed: gone", cure="see `docker info`")
+
+    step = Step(
+        title="load", argv=("sh", "-c", "cat > got"), feed=ImageArchive(image="a", reference="a", size=100)
+    )
+    plan = Plan(robot="pi1", summary="", steps=(step, sh("touch never")))
+
+    def work(line: Line) -> Outcome:
+        return apply(plan, line, open_feed=lambda _: broken(), watch=Told())
+
+    (outcome,) = each([home.robot], work, watch=Told())
+    assert (outcome.status, outcome.reason) == ("failed", "reading image talker from Docker failed: gone")
+    assert outcome.cure == "see `docker info`"
+    assert not (home.path / "never").exists()
+
+
+def test_a_history_that_cannot_be_written_is_no_failure(home: Home) -> None:
+    """A full disk: what the robot runs matters more."""
+    (home.path / ".fleet").write_text("in the way")
+    assert applied(home, Plan(robot="pi1", summary="", steps=(sh("true"),), record=RECORD)).status == "done"
+
+
+def test_a_robot_that_vanishes_before_a_fresh_login_is_told_so(home: Home, tmp_path: Path) -> None:
+    """It was reached once, so it has failed at a step."""
+    steps = (sh("touch began"), Step(title="again", argv=("true",), fresh_login=True))
+    line = Line(home.robot)
+
+    class Cutting(Told):
+        def began(self, robot: str, title: str, size: int | None) -> None:
+            super().began(robot, title, size)
+            if title == "again":
+                home.server.stop()
+
+    outcome = apply(Plan(robot="pi1", summary="", steps=steps), line, open_feed=open_bytes, watch=Cutting())
+    line.close()
+    assert (outcome.status, outcome.step) == ("failed", "again")
+    assert "refuses connections" in outcome.reason
+    assert (tmp_path / "home of pi1/began").exists()
