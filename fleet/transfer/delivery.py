@@ -84,17 +84,26 @@ def pieces(
     label = f"{len(sent)} of {lack.layers} layers"
     parcel = Parcel(label=label, to=to, pieces=tuple(parts))
     after = _room(sent, parcel, facts)
-    took = f", about {human_seconds(parcel.size / rate)} at {human_bytes(rate)}/s" if rate else ""
-    resumed = sum(part.there for part in parts)
-    earlier = f" ({human_bytes(resumed)} came earlier)" if resumed else ""
     return Delivery(
         steps=(
             receive.step(parcel, frame, title=f"send {label}", token=token, by=by),
             *(_prove(image) for image, _ in images),
         ),
-        forecast=f"has {lack.layers - len(lack.send)} of {lack.layers} layers, sends {human_bytes(parcel.size)}{earlier}{took}; "
-        f"disk: {human_bytes(facts.disk_free)} free, {human_bytes(after)} afterwards",
+        forecast="; ".join((f"lacks {label}, {_takes(parcel, rate)}", _disk(facts.disk_free, after))),
     )
+
+
+def _takes(parcel: Parcel, rate: float | None) -> str:
+    """Bytes and seconds of a parcel, in words."""
+    came = sum(piece.there for piece in parcel.pieces)
+    earlier = f" ({human_bytes(came)} came earlier)" if came else ""
+    seconds = parcel.size / rate if rate else 0
+    at = f", about {human_seconds(seconds)} at {human_bytes(rate)}/s" if rate and seconds >= 1 else ""
+    return f"{human_bytes(parcel.size)} packed{earlier}{at}"
+
+
+def _disk(free: float, after: float) -> str:
+    return f"disk: {human_bytes(free)} free, {human_bytes(after)} afterwards"
 
 
 def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:

@@ -75,8 +75,8 @@ def restless(
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("ship --dry", "$ docker load"),
-        ("--dry ship", "$ docker load"),
+        ("ship --dry", "receive what is missing"),
+        ("--dry ship", "receive what is missing"),
         ("ship --dry --json", '"plans"'),
         ("rollback --dry", "compose up"),
         ("start --dry", "compose up"),
