@@ -11,7 +11,7 @@ import os
 import re
 import subprocess
 import time
-from ipaddress import IPv4Network
+from ipaddress import IPv4Address, IPv4Network
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from fleet.errors import DesktopError, Mistake
 from fleet.virtualpi import VirtualPi, ensure_image, run_command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 RECIPE = Path(__file__).parent.parent / "docker" / "lab"
 LARGEST = 200  # Pis; their addresses fit into the smallest network Docker hands out
@@ -40,16 +40,29 @@ def up(
     """
     _check_request(count, name)
     _check_engine()
-    platform = _platform(say=say)
     image = ensure_image(recipe, say=say)
+    images = {f"pi{number}": image for number in range(1, count + 1)}
+    have(images, directory=directory, name=name, say=say, recipe=recipe)
+
+
+def have(
+    images: Mapping[str, str],
+    *,
+    directory: Path,
+    name: str,
+    say: Callable[[str], None],
+    recipe: Path = RECIPE,
+) -> None:
+    """The same for Pis of any names, each made from an image of its own: name -> image."""
+    _check_request(len(images), name)
+    platform = _platform(say=say)
     directory.mkdir(parents=True, exist_ok=True)
     key = _key(directory)
     network = _network(name)
     there = {pi.name: pi for pi in list_(name=name)}
-    for pi in (
-        _blank(number, lab=name, network=network, platform=platform) for number in range(1, count + 1)
-    ):
-        _switch_on(there.get(pi.name, pi), image=image, directory=directory, say=say)
+    for number, (pi_name, image) in enumerate(images.items(), start=11):
+        blank = VirtualPi(name=pi_name, lab=name, address=str(network[number]), platform=platform)
+        _switch_on(there.get(pi_name, blank), image=image, directory=directory, say=say)
     pis = list_(name=name)
     on = tuple(pi for pi in pis if pi.state == "running")
     for pi in on:
@@ -94,7 +107,7 @@ def list_(*, name: str = "lab") -> tuple[VirtualPi, ...]:
         VirtualPi(name=pi, lab=name, address=address, platform=platform, state=state)
         for pi, state, address in found
     )
-    return tuple(sorted(pis, key=lambda pi: int(pi.name.removeprefix("pi"))))
+    return tuple(sorted(pis, key=lambda pi: IPv4Address(pi.address)))
 
 
 def _check_request(count: int, name: str) -> None:
@@ -164,10 +177,6 @@ def _network(lab: str) -> IPv4Network:
     docker("network", "rm", network)
     docker("network", "create", "--label", label, "--subnet", free, network)
     return IPv4Network(free)
-
-
-def _blank(number: int, *, lab: str, network: IPv4Network, platform: str) -> VirtualPi:
-    return VirtualPi(name=f"pi{number}", lab=lab, address=str(network[10 + number]), platform=platform)
 
 
 def _switch_on(pi: VirtualPi, *, image: str, directory: Path, say: Callable[[str], None]) -> None:

@@ -72,16 +72,17 @@ def run_command(pi: VirtualPi, *, image: str, network: str, labels: tuple[str, .
     )
 
 
-def ensure_image(recipe: Path, *, say: Callable[[str], None]) -> str:
+def ensure_image(recipe: Path, *, suite: str = SUITE, say: Callable[[str], None]) -> str:
     """Build the Pi's image unless it is here and made from this recipe; its name.
 
-    ``recipe`` is the folder with its Dockerfile. Raises ``DesktopError`` with the end of the build's output.
+    ``recipe`` is the folder with its Dockerfile, ``suite`` the Debian release. Raises ``DesktopError`` with the end of the
+    build's output.
     """
-    tag = image_tag(recipe)
+    tag = image_tag(recipe, suite=suite)
     if docker_or_none("image", "inspect", "--format", "{{.Id}}", tag):
         return tag
     client = buildkit_client()
-    base = debian.ensure(SUITE, desktop_platform(), say=say)
+    base = debian.ensure(suite, desktop_platform(), say=say)
     say("building the virtual Pi's image (about half a minute, once)")
     command = (*client, "build", "--progress=plain", "--build-arg", f"BASE={base}", "--tag", tag, str(recipe))
     try:
@@ -98,7 +99,7 @@ def ensure_image(recipe: Path, *, say: Callable[[str], None]) -> str:
     return tag
 
 
-def image_tag(recipe: Path) -> str:
+def image_tag(recipe: Path, *, suite: str = SUITE) -> str:
     """The image's name, which says what it is made from: another recipe has another name."""
     if not (recipe / "Dockerfile").is_file():
         raise DesktopError(
@@ -106,7 +107,7 @@ def image_tag(recipe: Path) -> str:
         )
     # The convenience script goes to a Pi with `provision`; it is no part of the image.
     parts = sorted(path for path in recipe.iterdir() if path.is_file() and path.name != "get-docker.sh")
-    content = hashlib.sha256(SUITE.encode())
+    content = hashlib.sha256(suite.encode())
     for path in parts:
         content.update(b"\0" + path.name.encode() + b"\0" + path.read_bytes())
     return f"fleet-lab-pi:{content.hexdigest()[:12]}"

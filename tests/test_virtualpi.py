@@ -57,6 +57,12 @@ def test_another_recipe_is_another_image(recipe: Path) -> None:
     assert image_tag(recipe) != first
 
 
+def test_another_debian_is_another_image(recipe: Path) -> None:
+    """Trixie's is what nobody has to ask for."""
+    assert image_tag(recipe, suite="trixie") == image_tag(recipe)
+    assert image_tag(recipe, suite="bookworm") != image_tag(recipe)
+
+
 def test_the_convenience_script_is_no_part_of_the_image(recipe: Path) -> None:
     """It reaches a Pi with `provision`; a change of it does not rebuild anything."""
     first = image_tag(recipe)
