@@ -42,9 +42,13 @@ CMD ["sh", "-c", "while echo tick $COLOUR; do sleep 1; done"]
 """A 2 MB image, and whatever its payload weighs. Its container is healthy within a second, under emulation too."""
 
 
-def service(image: str = TINY, *, more: str = "", check: str = "true") -> str:
+QUICK = "interval: 5s, retries: 1, start_period: 20s, start_interval: 100ms"
+ANYWHERE = "interval: 500ms, retries: 1, start_period: 20s"
+"""The start interval came with Docker 25, and older engines refuse to run what has one."""
+
+
+def service(image: str = TINY, *, more: str = "", check: str = "true", times: str = QUICK) -> str:
     """One service of a Compose file, quick to become healthy and quick to stop; ``more`` are lines of its own."""
-    times = "interval: 5s, retries: 1, start_period: 20s, start_interval: 100ms"
     return f"""
     image: {image}
     environment: [COLOUR, FLEET_ROBOT]

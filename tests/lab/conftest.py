@@ -9,14 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import labengines
 import pytest
 from labproject import DOCKERFILE, HEAVY, HEAVY_SIZE, TINY, Project, on_each, service, wipe
 
 from fleet import lab as labs
 from fleet.errors import FleetError
+from fleet.virtualpi import VirtualPi
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
 NAME = "fleettest"
@@ -79,9 +81,14 @@ class Lab:
 
 
 def made(name: str, directory: Path, *, count: int) -> Lab:
+    """Start blank Pis."""
+    return started(name, directory, up=lambda: labs.up(count, directory=directory, name=name, say=print))
+
+
+def started(name: str, directory: Path, *, up: Callable[[], None]) -> Lab:
     """Start the Pis. What stands in the way is said in one sentence, and fails the tests that need them."""
     try:
-        labs.up(count, directory=directory, name=name, say=print)
+        up()
     except FleetError as error:
         pytest.fail(f"these tests need virtual Pis: {error}", pytrace=False)
     pis = (
@@ -89,6 +96,13 @@ def made(name: str, directory: Path, *, count: int) -> Lab:
         for pi in labs.list_(name=name)
     )
     return Lab(name=name, directory=directory, pis=tuple(pis))
+
+
+def paper(directory: Path) -> Lab:
+    """A robot that is only written down, which is all that `fab build` asks for."""
+    pi = VirtualPi(name="pi1", lab="paper", address="192.0.2.1", platform=labs.WANTED)
+    labs.write_inventory((pi,), directory=directory, platform=pi.platform, recipe=labs.RECIPE)
+    return Lab(name=pi.lab, directory=directory, pis=())
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -135,9 +149,21 @@ def provisioned(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 
 @pytest.fixture(scope="session")
-def images(provisioned: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def engines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """The Pis of `labengines.ENGINES`, trusted. Whoever changes one puts it back."""
+    name = f"{NAME}-engines"
+    directory = tmp_path_factory.mktemp(name)
+    labs.down(directory=directory, name=name, say=print)
+    lab = started(name, directory, up=lambda: labengines.up(name, directory))
+    Project.made(tmp_path_factory.mktemp("trust"), lab).well("trust", "--yes")
+    yield lab
+    labs.down(directory=directory, name=name, say=print)
+
+
+@pytest.fixture(scope="session")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The images of the tests' stacks: one that is there in no time, and one whose bytes can be watched."""
-    project = Project.made(tmp_path_factory.mktemp("images"), provisioned)
+    project = Project.made(tmp_path_factory.mktemp("images"), paper(tmp_path_factory.mktemp("paper")))
     for name, payload in ((TINY, b"tiny"), (HEAVY, os.urandom(HEAVY_SIZE))):
         project.write(f"{name}/Dockerfile", DOCKERFILE)
         (project.directory / name / "payload").write_bytes(payload)
@@ -160,8 +186,16 @@ def project(provisioned: Lab, images: None, tmp_path: Path) -> Project:  # noqa:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of this folder, and run them last: what fails quickly should. Blank Pis come before provisioned."""
+    """Mark the tests of this folder, and run them last: what fails quickly should.
+
+    Blank Pis come before provisioned ones, and those before the Pis of other engines.
+    """
     for item in items:
         if HERE in item.path.parents:
             item.add_marker(pytest.mark.lab)
-    items.sort(key=lambda item: (HERE in item.path.parents, "provisioned" in item.fixturenames))  # type: ignore[attr-defined]
+
+    def place(item: pytest.Item) -> tuple[bool, ...]:
+        needs = item.fixturenames  # type: ignore[attr-defined]
+        return HERE in item.path.parents, "engines" in needs, "provisioned" in needs
+
+    items.sort(key=place)
