@@ -21,7 +21,7 @@ REMOVE = ("apt-get", "remove", "--yes")
 # Only the two dpkg locks can be waited for by apt itself; for that of the lists the command is run again. `tail --pid`,
 # not a pipe: whatever the command leaves running would hold a pipe open. Without Use-Pty, dpkg ends together with apt.
 _PATIENTLY = r"""
-patience=$1 limit=$2; shift 2; umask 022
+patience=$1 limit=$2 pause=$3; shift 3; umask 022
 work=$(mktemp -d) && trap "rm -rf $work" EXIT
 echo "DPkg::Lock::Timeout \"$patience\"; DPkg::Use-Pty \"0\";" > "$work/apt.conf"
 end=$(($(date +%s) + patience))
@@ -32,7 +32,7 @@ while : > "$work/said"; do
   [ $code -ne 0 ] || exit 0
   grep -qE "^E: Could not get lock|^dpkg: error: .* lock was locked" "$work/said" || break
   [ "$(date +%s)" -lt "$end" ] || break
-  echo "another program uses apt; trying again in 5 s"; sleep 5
+  echo "another program uses apt; trying again in $pause s"; sleep "$pause"
 done
 [ $code -ne 124 ] && [ $code -ne 137 ] || { echo "it did not end within $limit s, and was ended"; exit 1; }
 exit $code
@@ -72,16 +72,18 @@ class Bounds:
 
     ``patience``: waiting until another program is done with apt; the updates of a first boot take minutes on a Pi.
     ``limit``: one command, once it may work; Docker's script has no limits of its own, and SD cards are slow.
+    ``pause``: before a locked apt is tried again.
     """
 
     patience: int = 600
     limit: int = 1200
+    pause: int = 5
 
 
 def patiently(title: str, argv: tuple[str, ...], *, facts: Facts, bounds: Bounds, cure: str = "") -> Step:
     """The step that runs ``argv``, which uses apt, as root; again while apt is locked."""
     quiet = ("env", "LC_ALL=C", "DEBIAN_FRONTEND=noninteractive")
-    times = (str(bounds.patience), str(bounds.limit))
+    times = (str(bounds.patience), str(bounds.limit), str(bounds.pause))
     return Step(
         title=title,
         argv=as_root(facts, *quiet, "sh", "-c", _PATIENTLY, "sh", *times, *argv),
