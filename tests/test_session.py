@@ -93,10 +93,10 @@ def test_a_missing_command_is_a_result(session: Session) -> None:
 def test_a_command_over_its_limit_is_ended_on_the_robot(session: Session, tmp_path: Path) -> None:
     """Nothing runs on there, and the connection is good for more."""
     with pytest.raises(TimedOut, match="`sh` took longer than"):
-        session.run(("sh", "-c", f"echo $$ > {tmp_path}/pid; sleep 60; echo no"), limit=0.5)
+        session.run(("sh", "-c", f"echo $$ > {tmp_path}/pid; sleep 6543; echo no"), limit=0.5)
     gone = session.run(("sh", "-c", f"! kill -0 $(cat {tmp_path}/pid)"))
     assert gone.code == 0
-    assert session.run(("pgrep", "-f", "^sleep 60$")).output == ""
+    assert session.run(("pgrep", "-f", "^sleep 6543$")).output == ""
 
 
 def test_a_command_that_ignores_its_end_is_killed(session: Session) -> None:
