@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 RECIPE = Path(__file__).parent.parent / "docker" / "lab"
 LARGEST = 200  # Pis; their addresses fit into the smallest network Docker hands out
 BOOT_TAKES = 120.0  # seconds; one second is usual, a desktop that is busy with many Pis takes longer
+NETWORK_TRIES = 5
 WANTED = "linux/arm64"
 FILES = ("id_ed25519", "id_ed25519.pub", "inventory.yaml", "known_hosts", "known_hosts.old")
 
@@ -172,10 +173,17 @@ def _network(lab: str) -> IPv4Network:
                 f"the Docker network {network} is somebody else's", cure="give the lab another name"
             )
         return IPv4Network(there.split()[0])
-    docker("network", "create", "--label", label, network)
-    free = docker("network", "inspect", "--format", subnet, network)
-    docker("network", "rm", network)
-    docker("network", "create", "--label", label, "--subnet", free, network)
+    for tries_left in range(NETWORK_TRIES, 0, -1):
+        docker("network", "create", "--label", label, network)
+        free = docker("network", "inspect", "--format", subnet, network)
+        docker("network", "rm", network)
+        try:
+            docker("network", "create", "--label", label, "--subnet", free, network)
+        except DesktopError:  # somebody else was handed the same one meanwhile
+            if tries_left == 1:
+                raise
+        else:
+            break
     return IPv4Network(free)
 
 
