@@ -4,7 +4,7 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import current, environment, eventually, running, service
+from labproject import TINY, current, environment, eventually, running, service
 
 if TYPE_CHECKING:
     from lab.conftest import Pi
@@ -152,31 +152,41 @@ def test_a_release_works_by_hand_on_the_robot(project: Project, pi: Pi) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage",
+    "damages",
     [
-        pytest.param("docker rm --force $(docker ps --quiet)", id="container removed"),
-        pytest.param("docker stop $(docker ps --quiet)", id="container stopped"),
-        pytest.param("cd .fleet/current && echo broken > .env && rm compose.yaml", id="release damaged"),
-        pytest.param("rm -r .fleet/releases/*", id="releases removed"),
-        pytest.param("rm -r .fleet", id="all files removed"),
-        pytest.param("ln -sfn releases/none .fleet/current", id="current leads nowhere"),
         pytest.param(
-            "docker rm -f $(docker ps -q) && docker image rm --force $(docker image ls --quiet fleettest-tiny)",
+            ("docker rm --force $(docker ps --quiet)", "docker stop $(docker ps --quiet)", "rm -r .fleet"),
+            id="container removed, container stopped, all files removed",
+        ),
+        pytest.param(
+            (
+                "cd .fleet/current && echo broken > .env && rm compose.yaml",
+                "rm -r .fleet/releases/*",
+                "ln -sfn releases/none .fleet/current",
+            ),
+            id="release damaged, releases removed, current leads nowhere",
+        ),
+        pytest.param(
+            (f"docker rm -f $(docker ps -q) && docker image rm --force $(docker image ls --quiet {TINY})",)
+            * 3,
             id="image removed",
         ),
     ],
 )
-def test_the_next_ship_mends_what_was_damaged(project: Project, pi: Pi, damage: str) -> None:
-    """Whatever somebody did by hand on the robot, the same command brings the release back, and then is content."""
-    project.well("ship", "--hosts", "pi1")
-    release = current(pi)
-    done = pi.ssh(damage)
-    assert done.returncode == 0, done.stderr
-    project.well("ship", "--hosts", "pi1")
-    assert (current(pi), running(pi)["tick"][1]) == (release, release)
-    check = pi.ssh("cd ~/.fleet/current && docker compose config --quiet")
-    assert check.returncode == 0, check.stderr
-    assert project.well("ship", "--hosts", "pi1", "--json").status == {"pi1": "unchanged"}
+def test_the_next_ship_mends_what_was_damaged(project: Project, damages: tuple[str, str, str]) -> None:
+    """Whatever somebody did by hand on the robots, the same command brings the release back, and then is content."""
+    project.well("ship")
+    pis = project.lab.pis
+    releases = [current(pi) for pi in pis]
+    for pi, damage in zip(pis, damages, strict=True):
+        done = pi.ssh(damage)
+        assert done.returncode == 0, (damage, done.stderr)
+    assert project.well("ship", "--json").status == dict.fromkeys(ALL, "done")
+    assert [current(pi) for pi in pis] == releases
+    assert [running(pi)["tick"][1] for pi in pis] == releases
+    for check in (pi.ssh("cd ~/.fleet/current && docker compose config --quiet") for pi in pis):
+        assert check.returncode == 0, check.stderr
+    assert project.well("ship", "--json").status == dict.fromkeys(ALL, "unchanged")
 
 
 def test_two_desktops_at_once_do_no_harm(project: Project, pi: Pi) -> None:
