@@ -4,6 +4,8 @@ VENV := .venv
 PYTHON ?= python3
 FAB := $(VENV)/bin/fab
 PIS := pi1,pi2,pi3
+# Tests side by side. They mostly wait; those on virtual Pis need a lab of three for each.
+JOBS := 2
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
@@ -46,11 +48,11 @@ test: testbed lint test-unit test-lab ## everything: lint, types, unit tests, th
 
 test-unit: testbed env ## the tests that need no virtual Pi
 	$(STEP) 'Unit tests'
-	@$(VENV)/bin/pytest tests --ignore tests/lab
+	@$(VENV)/bin/pytest tests --ignore tests/lab --numprocesses $(JOBS) --dist worksteal
 
-test-lab: testbed env ## the tests on virtual Pis, in a lab of their own
+test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
-	@$(VENV)/bin/pytest tests/lab
+	@$(VENV)/bin/pytest tests/lab --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 lint: env ## style and types
 	$(STEP) 'Style and types'

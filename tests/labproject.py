@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 FAB = Path(sys.executable).parent / "fab"
 
-TINY = "fleettest-tiny"
-HEAVY = "fleettest-heavy"
+LAB = "-".join(filter(None, ("fleettest", os.environ.get("PYTEST_XDIST_WORKER"))))
+"""What everything of the tests' own is called on this computer; tests that run side by side have one name each."""
+
+TINY = f"{LAB}-tiny"
+HEAVY = f"{LAB}-heavy"
 HEAVY_SIZE = 40_000_000
 
 DOCKERFILE = """\
@@ -76,6 +79,15 @@ def on_each(pis: tuple[Pi, ...], work: Callable[[Pi], T]) -> list[T]:
     """The same on every Pi, at once."""
     with ThreadPoolExecutor(len(pis)) as pool:
         return list(pool.map(work, pis))
+
+
+def forget(*images: str) -> None:
+    """Remove the desktop's images of these names, whatever their tags. By name: another's may be the very same image."""
+    references = (part for name in images for part in ("--filter", f"reference={name}"))
+    listing = ("docker", "image", "ls", "--format", "{{.Repository}}:{{.Tag}}", *references)
+    found = subprocess.run(listing, capture_output=True, text=True, check=True).stdout.split()
+    if found:
+        subprocess.run(("docker", "image", "rm", "--force", *found), capture_output=True, check=True)
 
 
 def wipe(pi: Pi) -> None:

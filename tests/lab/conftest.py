@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import subprocess
@@ -11,17 +12,18 @@ from typing import TYPE_CHECKING
 
 import labengines
 import pytest
-from labproject import DOCKERFILE, HEAVY, HEAVY_SIZE, TINY, Project, on_each, service, wipe
+from labproject import DOCKERFILE, HEAVY, HEAVY_SIZE, LAB, TINY, Project, forget, on_each, service, wipe
 
+from fleet import debian
 from fleet import lab as labs
+from fleet.emulation import desktop_platform
 from fleet.errors import FleetError
-from fleet.virtualpi import VirtualPi
+from fleet.virtualpi import VirtualPi, ensure_image
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
-NAME = "fleettest"
 COUNT = 3
 
 
@@ -107,21 +109,29 @@ def paper(directory: Path) -> Lab:
 
 @pytest.fixture(scope="session", autouse=True)
 def only_one_session() -> Iterator[None]:
-    """Two runs on one desktop would share container names: the second waits for the first."""
+    """Two runs on one desktop would share container names: the second waits for the first.
+
+    Tests side by side have names of their own, and one set of bases: who comes second finds them made.
+    """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet"
     cache.mkdir(parents=True, exist_ok=True)
-    with (cache / f"{NAME}.lock").open("w") as lock:
+    with (cache / f"{LAB}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        with (cache / "fleettest-bases.lock").open("w") as bases, contextlib.suppress(FleetError):
+            fcntl.flock(bases, fcntl.LOCK_EX)
+            ensure_image(labs.RECIPE, say=print)
+            for platform in {desktop_platform(), labs.WANTED}:
+                debian.ensure("bookworm", platform, say=print)
         yield
 
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     """Three blank Pis for the whole session. Whoever changes one puts it back, or takes ``own_lab``."""
-    directory = tmp_path_factory.mktemp(NAME)
-    labs.down(directory=directory, name=NAME, say=print)  # what a killed run left
-    yield made(NAME, directory, count=COUNT)
-    labs.down(directory=directory, name=NAME, say=print)
+    directory = tmp_path_factory.mktemp(LAB)
+    labs.down(directory=directory, name=LAB, say=print)  # what a killed run left
+    yield made(LAB, directory, count=COUNT)
+    labs.down(directory=directory, name=LAB, say=print)
 
 
 @pytest.fixture
@@ -133,7 +143,7 @@ def pi(lab: Lab) -> Pi:
 @pytest.fixture
 def own_lab(tmp_path: Path) -> Iterator[Lab]:
     """One blank Pi for one test, which may do to it what it likes."""
-    name = f"{NAME}-own"
+    name = f"{LAB}-own"
     labs.down(directory=tmp_path / "lab", name=name, say=print)
     yield made(name, tmp_path / "lab", count=1)
     labs.down(directory=tmp_path / "lab", name=name, say=print)
@@ -151,7 +161,7 @@ def provisioned(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
 @pytest.fixture(scope="session")
 def engines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     """The Pis of `labengines.ENGINES`, trusted. Whoever changes one puts it back."""
-    name = f"{NAME}-engines"
+    name = f"{LAB}-engines"
     directory = tmp_path_factory.mktemp(name)
     labs.down(directory=directory, name=name, say=print)
     lab = started(name, directory, up=lambda: labengines.up(name, directory))
@@ -172,10 +182,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     )
     project.well("build", within=900)
     yield
-    names = (f"reference={name}" for name in (TINY, HEAVY))
-    listing = ("docker", "image", "ls", "--quiet", *(part for name in names for part in ("--filter", name)))
-    found = subprocess.run(listing, capture_output=True, text=True, check=True).stdout.split()
-    subprocess.run(("docker", "image", "rm", "--force", *set(found)), capture_output=True, check=True)
+    forget(TINY, HEAVY)
 
 
 @pytest.fixture

@@ -4,11 +4,12 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import Project, current, environment, running, service
+from labproject import HEAVY, LAB, Project, current, environment, running, service
 
 if TYPE_CHECKING:
     from lab.conftest import Lab, Pi
 
+WRONG = f"{LAB}-wrong"
 FAILS = service(more='command: [sh, -c, "echo looking for the camera; echo no camera: $$COLOUR; exit 3"]')
 NEVER_HEALTHY = service(check="echo no lidar; false").replace("start_period: 20s", "start_period: 1s")
 
@@ -116,22 +117,22 @@ def test_an_image_for_another_processor_is_refused(project: Project, lab: Lab) -
         text=True,
         check=True,
     )
-    subprocess.run(("docker", "tag", own.stdout.strip(), "fleettest-wrong"), check=True)
+    subprocess.run(("docker", "tag", own.stdout.strip(), WRONG), check=True)
     try:
-        project.stack(tick=service("fleettest-wrong"))
+        project.stack(tick=service(WRONG))
         said = project.fab("ship", "--hosts", "pi1")
     finally:
-        subprocess.run(("docker", "rmi", "fleettest-wrong"), capture_output=True, check=True)
+        subprocess.run(("docker", "rmi", WRONG), capture_output=True, check=True)
     assert said.code == 2
-    assert "fleettest-wrong was made for linux/amd64, and the robot runs linux/arm64" in said.err
+    assert f"{WRONG} was made for linux/amd64, and the robot runs linux/arm64" in said.err
 
 
 def test_an_image_that_is_not_here_is_refused(project: Project) -> None:
     """Exit code 2, and how to get it."""
-    project.stack(tick=service("fleettest-none"))
+    project.stack(tick=service(f"{LAB}-none"))
     said = project.fab("ship", "--hosts", "pi1")
     assert said.code == 2
-    assert "there is no image fleettest-none for linux/arm64 here" in said.err
+    assert f"there is no image {LAB}-none for linux/arm64 here" in said.err
     assert "fab build" in said.err
 
 
@@ -168,7 +169,7 @@ def test_a_robot_that_is_too_full_is_not_sent_anything(project: Project, pi: Pi)
     """The numbers are compared before the first byte; what runs there runs on."""
     project.well("ship", "--hosts", "pi1")
     before = running(pi)
-    project.stack(tick=service("fleettest-heavy"))
+    project.stack(tick=service(HEAVY))
     pi.exec("mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", "/var/lib/docker")
     try:
         said = project.fab("ship", "--hosts", "pi1", "--json")
@@ -183,7 +184,7 @@ def test_a_disk_that_fills_up_during_the_load(project: Project, pi: Pi) -> None:
     """The load fails half-way: that is said with its cure, the previous release runs on, and the next ship succeeds."""
     project.well("ship", "--hosts", "pi1")
     before = running(pi)
-    project.stack(tick=service("fleettest-heavy"))
+    project.stack(tick=service(HEAVY))
     pi.exec("mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", "/var/lib/docker/tmp")
     try:
         said = project.fab("ship", "--hosts", "pi1", "--json")

@@ -4,7 +4,7 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import HEAVY, Project, on_each, service, wipe
+from labproject import HEAVY, LAB, Project, on_each, service, wipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +36,7 @@ def here(project: Project) -> tuple[str, dict[str, bytes]]:
         "ls",
         "--no-trunc",
         "--filter",
-        "reference=fleettest-*",
+        f"reference={LAB}-*",
         "--format",
         "{{.Repository}}:{{.Tag}} {{.ID}}",
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from labproject import LAB
 
 from fleet import debian
 from fleet import lab as labs
@@ -158,16 +159,16 @@ def test_down_removes_the_lab_and_nothing_else(lab: Lab, own_lab: Lab) -> None:
 def test_down_without_a_lab_says_so(tmp_path: Path) -> None:
     """Twice is no error."""
     said: list[str] = []
-    labs.down(directory=tmp_path / "nowhere", name="fleettest-none", say=said.append)
+    labs.down(directory=tmp_path / "nowhere", name=f"{LAB}-none", say=said.append)
     assert said == ["there is no lab to remove"]
 
 
 @pytest.fixture
 def somebodys_network() -> Iterator[str]:
     """A network with the name a lab would use, made by somebody else."""
-    docker("network", "create", "fleet-fleettest-taken")
-    yield "fleettest-taken"
-    docker("network", "rm", "fleet-fleettest-taken")
+    docker("network", "create", f"fleet-{LAB}-taken")
+    yield f"{LAB}-taken"
+    docker("network", "rm", f"fleet-{LAB}-taken")
 
 
 def test_somebody_elses_network_is_not_used(tmp_path: Path, somebodys_network: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import Project, current, eventually, on_each, running, wipe
+from labproject import LAB, Project, current, eventually, forget, on_each, running, wipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lab.conftest import Lab, Pi
     from labproject import Said
 
-IMAGE = "fleettest-talker"
+IMAGE = f"{LAB}-main"
 ALL = ("pi1", "pi2", "pi3")
 SLOW = 400.0  # seconds: three ARM images start at once, emulated, on a desktop that may have two cores
 
@@ -41,9 +41,7 @@ def talking(provisioned: Lab, tmp_path_factory: pytest.TempPathFactory) -> Itera
         shipped=project.well("ship", "--hosts", "fleet", "--json", within=SLOW),
     )
     on_each(provisioned.pis, wipe)
-    listing = ("docker", "image", "ls", "--quiet", "--filter", f"reference={IMAGE}")
-    found = set(subprocess.run(listing, capture_output=True, text=True, check=True).stdout.split())
-    subprocess.run(("docker", "image", "rm", "--force", *found), capture_output=True, check=True)
+    forget(IMAGE)
 
 
 def container(pi: Pi) -> str:

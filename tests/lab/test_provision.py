@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
+from labproject import LAB
 
 from fleet import apt, hostkeys, inventory, lab, provision, script, ssh
 from fleet.apply import apply
@@ -112,13 +113,13 @@ def made(name: str, directory: Path) -> Iterator[Target]:
 @pytest.fixture(scope="module")
 def blank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
     """A Pi that every test leaves without Docker."""
-    yield from made("fleettest-blank", tmp_path_factory.mktemp("blank"))
+    yield from made(f"{LAB}-blank", tmp_path_factory.mktemp("blank"))
 
 
 @pytest.fixture(scope="module")
 def ready(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
     """A Pi that was provisioned once, and that every test leaves ready."""
-    for target in made("fleettest-ready", tmp_path_factory.mktemp("ready")):
+    for target in made(f"{LAB}-ready", tmp_path_factory.mktemp("ready")):
         outcome, _ = target.provision()
         assert outcome.status == "done", outcome
         yield target
@@ -243,7 +244,7 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/said')\n"
         "locks[0].close()\n"
     )
-    for target in made("fleettest-morning", tmp_path):
+    for target in made(f"{LAB}-morning", tmp_path):
         target.root("apt-get -qq update && apt-get -qq -y install --no-install-recommends docker-buildx 2>&1")
         target.root("touch /var/lib/dpkg/updates/0001")
         target.root(

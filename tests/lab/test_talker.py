@@ -13,18 +13,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import pytest
+from labproject import LAB, eventually, forget
 
 from fleet import debian, listen
 from fleet.dockercli import buildkit_client, docker
 from fleet.emulation import desktop_platform, emulates
-from fleet.errors import NotAsPlanned, RobotError, TimedOut
+from fleet.errors import DesktopError, NotAsPlanned, RobotError, TimedOut
 from fleet.inventory import Robot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 PROJECT = Path(__file__).parents[2]
-NAME = "fleettest-talker"
+NAME = f"{LAB}-talker"
 HEALTH = ("python3", "-IS", "/usr/local/lib/fleet/tcpros.py", "time", "--timeout", "2")
 # What an ELF file calls a processor: bytes 18 and 19 of it.
 MACHINES = {"linux/arm64": 183, "linux/arm/v7": 40, "linux/amd64": 62}
@@ -84,8 +85,7 @@ def wait_for(template: str, answer: str, *, within: float) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _nothing_left_behind() -> Iterator[None]:
     yield
-    if images := docker("image", "ls", "--quiet", NAME).split():
-        docker("image", "rm", "--force", *dict.fromkeys(images))
+    forget(NAME)
 
 
 @pytest.fixture(scope="module")
@@ -94,14 +94,23 @@ def image() -> str:
     return build("native", desktop_platform())
 
 
-@pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    """An address on a network of the tests' own, which this computer reaches as it would a robot's."""
+def network() -> str:
+    """Make it; its subnet, or "" if somebody else was handed the same one meanwhile."""
     docker("network", "create", NAME)
     subnet = json.loads(docker("network", "inspect", NAME))[0]["IPAM"]["Config"][0]["Subnet"]
     # Docker has found a free subnet; only one that was asked for has addresses to choose from.
     docker("network", "rm", NAME)
-    docker("network", "create", "--subnet", subnet, NAME)
+    try:
+        docker("network", "create", "--subnet", subnet, NAME)
+    except DesktopError:
+        return ""
+    return str(subnet)
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """An address on a network of the tests' own, which this computer reaches as it would a robot's."""
+    subnet = eventually(network)
     yield str(ipaddress.ip_network(subnet)[10])
     docker("network", "rm", NAME)
 
