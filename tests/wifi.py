@@ -17,6 +17,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 from dataclasses import asdict, dataclass
 from ipaddress import IPv4Network
 from pathlib import Path
@@ -32,6 +33,7 @@ NETS = IPv4Network("10.77.0.0/16")
 
 DEVICE = "wifi0"
 PREFIX = "fleetwifi"
+SEGMENT = 52  # bytes of IP and TCP in a packet, with time stamps
 TUNNELS = Path("/dev/net/tun")
 
 _TUNSETIFF = 0x400454CA
@@ -64,6 +66,12 @@ class Traffic:
         """All bytes that went on the air, in packets with their headers, both ways, those nobody heard too."""
         return self.to.sent_bytes + self.back.sent_bytes
 
+    @property
+    def payload(self) -> int:
+        """What reached the robot inside TCP; bytes that were sent again and arrived twice count twice."""
+        to = self.to
+        return to.sent_bytes - to.lost_bytes - SEGMENT * (to.sent - to.lost)
+
 
 class Wifi:
     """A link that is there: `joined` makes it."""
@@ -72,6 +80,7 @@ class Wifi:
         self.namespace = namespace
         self.addresses = addresses
         self._control = control
+        self._turn = threading.Lock()
 
     def at_desk(self, *argv: str) -> tuple[str, ...]:
         """The command that runs a command at the desk."""
@@ -91,7 +100,8 @@ class Wifi:
         self._ask({"robots": robots or tuple(self.addresses), "change": {"outage": seconds}})
 
     def _ask(self, what: Mapping[str, object]) -> dict[str, dict[str, dict[str, int]]]:
-        return _exchange(self._control, what)
+        with self._turn:
+            return _exchange(self._control, what)
 
 
 @contextlib.contextmanager
