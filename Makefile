@@ -9,11 +9,11 @@ JOBS := 2
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench lock clean desktop testbed env
+.PHONY: help demo undemo test test-unit test-lab lint format bench bench-transfer lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: desktop env ## three virtual Pis, from blank to talking; they are left running
 	$(STEP) 'Three virtual Pis (fab lab.up)'
@@ -66,6 +66,9 @@ format: env ## put the code into the project's format
 
 bench: testbed env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench
+
+bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the usual ways, as root (under 40 minutes)
+	@PYTHONPATH=tests $(VENV)/bin/python -m bench transfer $(BENCH)
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \

@@ -1,4 +1,8 @@
-"""``make bench``: measure what must be fast, print it, and write ``docs/benchmarks.md``. Needs Docker; under 10 minutes."""
+"""``make bench``: measure what must be fast, print it, and write ``docs/benchmarks.md``. Needs Docker; under 10 minutes.
+
+``make bench-transfer`` is ``python -m bench transfer``: images over an emulated Wi-Fi, written to
+``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import paramiko
 
-from bench import asking, report, streaming
+from bench import asking, figures, report, streaming, transfer
 from bench.pairs import ROOT, cpu_per_gigabyte, seconds, spend
 from bench.report import Row, ratio
 from fleet.console import Screen
@@ -28,6 +32,9 @@ if TYPE_CHECKING:
 TIME = 540
 """Seconds after which the measuring ends, finished or not; cleaning up comes after that."""
 
+TRANSFER_TIME = 2400
+"""The same for ``make bench-transfer``."""
+
 ROBOTS = 3
 SERVERS = 50
 MEGABYTE = 10**6
@@ -35,6 +42,8 @@ MEGABYTE = 10**6
 
 def main() -> int:
     """Measure, print, write; 0 when every goal is met, 1 when one is not."""
+    if sys.argv[1:2] == ["transfer"]:
+        return _transfer(transfer.asked(sys.argv[2:]))
     screen = Screen()
     when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
     try:
@@ -50,6 +59,25 @@ def main() -> int:
     page = report.page(rows, when=when, machine=_machine(engine, load))
     (ROOT / "docs" / "benchmarks.md").write_text(page, encoding="utf-8")
     return 0 if all(row.met for row in rows) else 1
+
+
+def _transfer(asked: transfer.Asked) -> int:
+    screen = Screen()
+    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
+    try:
+        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(TRANSFER_TIME):
+            measured = transfer.measure(
+                asked, folder=Path(folder), environment=_environment(), say=screen.say
+            )
+    except (FleetError, RuntimeError, TimeoutError) as problem:
+        screen.say(f"bench: {problem}")
+        return 1
+    rows = figures.goals(measured)
+    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
+    page = figures.page(measured, when=when, machine=_machine(measured.engine, load))
+    (ROOT / "docs" / "benchmarks-transfer.md").write_text(page, encoding="utf-8")
+    (ROOT / "docs" / "benchmarks-transfer.svg").write_text(figures.picture(measured), encoding="utf-8")
+    return 0 if all(row.met for row in rows) and not measured.failed else 1
 
 
 def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tuple[Row, ...]:

@@ -74,10 +74,17 @@ def ratio(what: str, pairs: Pairs, *, goal: float | None) -> Row:
 
 def page(rows: Sequence[Row], *, when: str, machine: str) -> str:
     """The page ``docs/benchmarks.md``."""
-    head = (COLUMNS, ("---",) * len(COLUMNS))
-    table = "\n".join(f"| {' | '.join(cells)} |" for cells in (*head, *(row.cells() for row in rows)))
-    return _PAGE.format(when=when, machine=machine, table=table)
+    return _PAGE.format(when=when, machine=machine, table=table(COLUMNS, [row.cells() for row in rows]))
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table as Markdown has it."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, ("---",) * len(columns), *rows))
 
 
 def _figure(value: float, unit: str) -> str:
-    return f"{value:.0f} {unit}" if unit == "MB" else f"{value:.2f}{unit if unit == 'x' else f' {unit}'}"
+    return (
+        f"{value:.0f} {unit}"
+        if unit == "MB" and value >= 10
+        else f"{value:.2f}{unit if unit == 'x' else f' {unit}'}"
+    )
