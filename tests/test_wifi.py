@@ -266,6 +266,21 @@ def test_nothing_is_left(robots: Mapping[str, int]) -> None:
     assert (link.namespace in namespaces(), carriers(), "wifi0" in links(robots)) == (False, [], False)
 
 
+def test_what_still_runs_at_the_desk_is_ended(robots: Mapping[str, int]) -> None:
+    """Whoever waits there for a robot would wait for ever."""
+    with joined(robots) as link:
+        left = subprocess.Popen(link.at_desk("sleep", "600"))
+        deadline = time.monotonic() + 10
+        while not at_desk(link) and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert left.wait(10) == -signal.SIGKILL
+
+
+def at_desk(link: Wifi) -> str:
+    command = ("ip", "netns", "pids", link.namespace)
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def test_nothing_is_left_of_a_run_that_was_killed(robots: Mapping[str, int]) -> None:
     """The devices go with it, and the next link removes its desk."""
     script = f"import time, wifi\nwith wifi.joined({robots!r}) as link:\n print(link.namespace, flush=True)\n time.sleep(60)"

@@ -13,6 +13,8 @@ import json
 import os
 import re
 import secrets
+import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -127,6 +129,7 @@ def joined(
     _run("ip", "netns", "add", namespace)
     with contextlib.ExitStack() as stack:
         stack.callback(_run, "ip", "netns", "delete", namespace)
+        stack.callback(_clear, namespace)
         inside = ("ip", "netns", "exec", namespace)
         _run(*inside, "ip", "link", "set", "lo", "up")
         desk = _device(stack, namespace, inside, f"{net[1]}/{net.prefixlen}")
@@ -143,13 +146,21 @@ def joined(
         yield Wifi(namespace=namespace, addresses=addresses, control=control)
 
 
+def _clear(namespace: str) -> None:
+    """End what still runs at the desk: nothing would ever answer it."""
+    for pid in _run("ip", "netns", "pids", namespace).split():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(int(pid), signal.SIGKILL)
+
+
 def why_not() -> str:
     """Why this computer cannot have such a link, "" where it can."""
     if os.geteuid():
         return "an emulated Wi-Fi needs root: it makes network namespaces and TUN devices"
     if not TUNNELS.exists():
         return f"an emulated Wi-Fi needs TUN devices, and there is no {TUNNELS}"
-    return ""
+    missing = [tool for tool in ("ip", "nsenter") if shutil.which(tool) is None]
+    return f"an emulated Wi-Fi needs {' and '.join(missing)}" if missing else ""
 
 
 def _check() -> None:
