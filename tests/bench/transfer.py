@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import json
 import shutil
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -105,7 +106,9 @@ def measure(
         try:
             list(pool.map(work, lanes))
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            for lane in lanes.values():
+                lane.over.set()
+            pool.shutdown(cancel_futures=True)
         engine = docker(
             "exec", lanes[wanted.ways[0]].pi.container, "docker", "version", "--format", "{{.Server.Version}}"
         )
@@ -168,7 +171,14 @@ def _on_the_air(
             trust = (ways.FAB, "trust", "--yes", "--inventory", str(air.inventory))
             spend(link.at_desk(*trust), environment=environment, limit=120)
             lanes[name] = ways.Lane(
-                pi=pi, link=link, air=air, quick=quick, folder=folder, registry=port, environment=environment
+                pi=pi,
+                link=link,
+                air=air,
+                quick=quick,
+                folder=folder,
+                registry=port,
+                environment=environment,
+                over=threading.Event(),
             )
         with ways.registries(link, port=port, folder=folder, say=say):
             yield lanes

@@ -24,6 +24,7 @@ from bench.watch import Watch, written
 from fleet.dockercli import docker
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Iterator, Mapping
 
     from wifi import Wifi
@@ -62,7 +63,7 @@ class Road:
 
 @dataclass(frozen=True, kw_only=True)
 class Lane:
-    """One robot that is measured: over the air, and put back over a road that costs nothing."""
+    """One robot that is measured: over the air, and put back over a road that costs nothing. ``over`` ends its runs."""
 
     pi: VirtualPi
     link: Wifi
@@ -71,6 +72,7 @@ class Lane:
     folder: Path
     registry: int
     environment: Mapping[str, str]
+    over: threading.Event
 
     def prepare(self, way: str, *, first: bool) -> None:
         """Leave nothing on the robot, or the first version as the same way brings it."""
@@ -155,16 +157,24 @@ class Lane:
             if watch:
                 watch.session = process.pid
             try:
-                code = process.wait(limit)
-            except subprocess.TimeoutExpired:
-                raise RuntimeError(f"{script} took longer than {limit:g} s") from None
+                code = self._wait(process, limit)
             finally:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+            if code is None:
+                raise RuntimeError(f"{script} took longer than {limit:g} s, or was ended")
             if code:
                 said.seek(0)
                 raise RuntimeError(f"{script} ended with code {code}: {said.read().strip()[-800:]}")
+
+    def _wait(self, process: subprocess.Popen[bytes], limit: float) -> int | None:
+        """Its exit code; None where it takes longer, or nobody wants to know any more."""
+        deadline = time.monotonic() + limit
+        while time.monotonic() < deadline and not self.over.is_set():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return process.wait(1)
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
