@@ -26,7 +26,7 @@ section receipts; for file in "$HOME"/.fleet/receipts/*; do
   [ -f "$file" ] && printf '%s ' "$(sha256sum < "$file" | cut -c1-64)" && tr -d '\n' < "$file" && echo; done
 section spool; cd "$HOME/.fleet/spool" 2>/dev/null && stat -c '%n %s' * 2>/dev/null; cd
 section pins; grep -H '"image":' "$HOME"/.fleet/releases/*/compose.override.yaml 2>/dev/null
-section tools; command -v zstd python3 2>/dev/null
+section tools; for tool in zstd python3; do command -v "$tool"; done
 section memory; sed -n 's/^MemTotal: *\([0-9]*\) kB$/\1/p' /proc/meminfo
 """
 """Sections for `fleet.facts.PROBE`; like those, they look and never touch."""
@@ -69,14 +69,14 @@ def parse(said: Mapping[str, str]) -> Stock:
         pins=_pins(said.get("pins", "")),
         zstd="zstd" in tools,
         python="python3" in tools,
-        memory=int(memory) * 1024 if memory.isdecimal() else 0,
+        memory=int(memory) * 1024 if re.fullmatch("[0-9]{1,15}", memory) else 0,
     )
 
 
 def _layers(listing: str) -> tuple[str, ...]:
     try:
         said = json.loads(listing)
-    except ValueError:
+    except (ValueError, RecursionError):
         return ()
     return tuple(map(str, said)) if isinstance(said, list) else ()
 
@@ -94,13 +94,14 @@ def _blobs(manifest: str, diff_ids: tuple[str, ...]) -> tuple[Blob, ...]:
             )
             for diff_id, layer in zip(diff_ids, layers, strict=True)
         )
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return ()
-    return blobs
+    words = (word for blob in blobs for word in (blob.digest, blob.media_type))
+    return blobs if all(isinstance(word, str) for word in words) else ()
 
 
 def _spool(said: str) -> dict[str, int]:
-    found = (re.fullmatch(r"([0-9a-f]{64}) ([0-9]+)", line) for line in said.splitlines())
+    found = (re.fullmatch(r"([0-9a-f]{64}) ([0-9]{1,15})", line) for line in said.splitlines())
     return {match[1]: int(match[2]) for match in found if match}
 
 
