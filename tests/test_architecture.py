@@ -37,7 +37,10 @@ PURE = {
     ),
     *("rights", "ros", "rosmsg", "rules", "selection", "ship", "signs", "status", "terminal"),
     "transfer",
-    *(f"transfer.{name}" for name in ("archive", "codec", "delivery", "patch", "pieces", "receive", "remaking", "stock")),
+    *(
+        f"transfer.{name}"
+        for name in ("archive", "codec", "delivery", "patch", "pieces", "receive", "remaking", "stock")
+    ),
 }
 """Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
 
