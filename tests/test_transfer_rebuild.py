@@ -192,19 +192,24 @@ def test_a_damaged_patch(robot: Robot, at: int, flip: int) -> None:
         (0, 0, 0, 0),
         (0, 0, patch.SEGMENT + 1, 9),
         (0, patch.RANGE + 1, 10, 9),
-        (len(OLD), 1, 1, 0),
+        (patch.RANGE * 2, 1, 1, 0),
         (2**63, 1, 1, 0),
-        (0, 10, 9, 0),
-        (0, 9, 10, 0),
     ],
 )
 def test_a_patch_that_asks_for_what_cannot_be(robot: Robot, header: tuple[int, ...]) -> None:
     """More memory than there may be, bytes that are not there, nothing at all."""
-    size = max(len(NEW), patch.SEGMENT * 2)
-    robot.patch.write_bytes(
-        f"fleet-patch 1 {len(OLD)} {size}\n".encode() + patch.HEADER.pack(*header) + bytes(99)
-    )
-    robot.refuses(remaking.UNUSABLE)
+    os.truncate(robot.old, patch.RANGE * 2)
+    head = f"fleet-patch 1 {patch.RANGE * 2} {patch.SEGMENT * 2}\n".encode()
+    robot.patch.write_bytes(head + patch.HEADER.pack(*header) + bytes(99))
+    assert "asks for what cannot be" in robot.refuses(remaking.UNUSABLE)
+
+
+@pytest.mark.parametrize("length", [9, 11])
+def test_a_copy_of_another_length(robot: Robot, length: int) -> None:
+    """More or less than was announced is not taken."""
+    head = f"fleet-patch 1 {len(OLD)} 10\n".encode()
+    robot.patch.write_bytes(head + patch.HEADER.pack(0, length, 10, 0))
+    assert "a segment has another length" in robot.refuses(remaking.UNUSABLE)
 
 
 def test_a_segment_that_unpacks_to_more_than_it_says_is_stopped(robot: Robot) -> None:
