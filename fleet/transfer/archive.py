@@ -14,6 +14,8 @@ import tarfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fleet.transfer.pieces import PLAIN
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -28,7 +30,6 @@ INCOMING = "fleet/incoming"
 _MANIFEST = "application/vnd.oci.image.manifest.v1+json"
 _CONFIG = "application/vnd.oci.image.config.v1+json"
 _INDEX = "application/vnd.oci.image.index.v1+json"
-_PLAIN = "application/vnd.oci.image.layer.v1.tar"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +107,7 @@ def frame(images: Sequence[Wanted], *, blobs: Mapping[str, Blob], sent: Sequence
 
 def _descriptor(diff_id: str, blob: Blob | None) -> dict[str, object]:
     if blob is None:
-        return {"mediaType": _PLAIN, "digest": diff_id, "size": 0}
+        return {"mediaType": PLAIN, "digest": diff_id, "size": 0}
     return {"mediaType": blob.media_type, "digest": blob.digest, "size": blob.size}
 
 

@@ -21,7 +21,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 from fleet.errors import DesktopError
 from fleet.transfer import codec
-from fleet.transfer.pieces import Blob
+from fleet.transfer.codec import ENCODINGS
+from fleet.transfer.pieces import PLAIN, Blob
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
@@ -37,9 +38,6 @@ MOST = 20_000_000_000
 _CHUNK = 1 << 20
 _SMALL = 4_000_000
 """An image's configuration is smaller."""
-
-_MEDIA_TYPES = {"gzip": "application/vnd.oci.image.layer.v1.tar+gzip"}
-_ZSTD = "application/vnd.oci.image.layer.v1.tar+zstd"
 
 
 def folder() -> Path:
@@ -103,28 +101,60 @@ class Cache:
                     path.unlink(missing_ok=True)
                     over -= size
 
-    def _known(self, diff_id: str, encoding: Encoding) -> Blob | None:
-        note = self._note(diff_id, encoding)
-        try:
-            blob = Blob(**json.loads(note.read_text(encoding="utf-8")))
-            packed = self._directory / blob.hex
-            if packed.stat().st_size == blob.size:
-                os.utime(packed)
-                os.utime(note)
-                return blob
-        except (OSError, ValueError, TypeError):
-            pass
-        return None
+    @contextlib.contextmanager
+    def unpacked(self, diff_id: str) -> Generator[IO[bytes] | None]:
+        """The tar of a layer that was packed here, as a file that goes away; None where it was not, or is gone."""
+        packed = next(filter(None, (self._known(diff_id, encoding) for encoding in ENCODINGS)), None)
+        with _explained(), contextlib.ExitStack() as stack:
+            whole = None
+            if packed:
+                content = stack.enter_context(self.open(packed.hex))
+                whole = stack.enter_context(tempfile.TemporaryFile(dir=self._directory))
+                whole.writelines(_inflated(content.read(_CHUNK), content))
+            yield whole
 
-    def _note(self, diff_id: str, encoding: Encoding) -> Path:
-        return self._directory / f"{diff_id.removeprefix('sha256:')}.{encoding}.json"
+    def keep(self, write: Callable[[IO[bytes]], object]) -> tuple[str, int]:
+        """Keep what ``write`` writes into a file, under its digest; that (hex) and its size in bytes."""
+        handle, part = tempfile.mkstemp(dir=self._directory, prefix=".part-")
+        with _explained():
+            try:
+                with os.fdopen(handle, "w+b") as out:
+                    write(out)
+                    out.seek(0)
+                    digest, size = hashlib.file_digest(out, "sha256").hexdigest(), out.tell()
+                Path(part).replace(self._directory / digest)
+            finally:
+                Path(part).unlink(missing_ok=True)
+        return digest, size
+
+    def size(self, digest: str) -> int:
+        """Bytes of what is kept under a digest (hex). Raises ``OSError`` where nothing is."""
+        os.utime(self._directory / digest)
+        return (self._directory / digest).stat().st_size
+
+    def noted(self, name: str) -> str:
+        """A note that was kept. Raises ``OSError`` where there is none."""
+        return (self._directory / name).read_text(encoding="utf-8")
+
+    def note(self, name: str, text: str) -> None:
+        """Keep a note, whole or not at all: another run may read it."""
+        part = self._directory / f".{name}.{os.getpid()}"
+        part.write_text(text, encoding="utf-8")
+        part.replace(self._directory / name)
+
+    def _known(self, diff_id: str, encoding: Encoding) -> Blob | None:
+        with contextlib.suppress(OSError, ValueError, TypeError):
+            blob = Blob(**json.loads(self.noted(_name(diff_id, encoding))))
+            if self.size(blob.hex) == blob.size:
+                return blob
+        return None
 
     def _unpack(self, image: Image, missing: set[str], encoding: Encoding | None) -> None:
         """Read the engine's archive once: keep the configuration, pack the layers that are missing."""
         self._directory.mkdir(parents=True, exist_ok=True)
         small: dict[str, bytes] = {}
         with contextlib.suppress(OSError, ValueError):
-            self._names |= json.loads((self._directory / "names").read_text(encoding="utf-8"))
+            self._names |= json.loads(self.noted("names"))
         stream = io.BufferedReader(_Pieces(self._export(image)), _CHUNK)
         with tarfile.open(fileobj=stream, mode="r|", bufsize=_CHUNK) as archive:
             for member in archive:
@@ -138,14 +168,14 @@ class Cache:
                     self._layer(member.name, content, missing, encoding)
             stream.read()  # the engine ends its answer well
         self._keep_config(image, small)
-        self._write("names", json.dumps(self._names).encode())
+        self.note("names", json.dumps(self._names))
 
     def _keep_config(self, image: Image, small: dict[str, bytes]) -> None:
         try:
             config = small[json.loads(small["manifest.json"])[0]["Config"]]
         except (KeyError, IndexError, ValueError) as problem:
             raise DesktopError(f"the archive of {image.reference} names no configuration") from problem
-        self._write(f"{image.fingerprint}.config", config)
+        self.note(f"{image.fingerprint}.config", config.decode())
 
     def _layer(self, name: str, content: IO[bytes], missing: set[str], encoding: Encoding) -> None:
         """Pack a member of the archive, and keep it where it is a layer that is missing.
@@ -165,15 +195,13 @@ class Cache:
             self._names[name] = blob.diff_id
             if blob.diff_id in missing:
                 Path(part).replace(self._directory / blob.hex)
-                self._write(self._note(blob.diff_id, encoding).name, json.dumps(asdict(blob)).encode())
+                self.note(_name(blob.diff_id, encoding), json.dumps(asdict(blob)))
         finally:
             Path(part).unlink(missing_ok=True)
 
-    def _write(self, name: str, data: bytes) -> None:
-        """Whole or not at all: another run may read it."""
-        part = self._directory / f".{name}.{os.getpid()}"
-        part.write_bytes(data)
-        part.replace(self._directory / name)
+
+def _name(diff_id: str, encoding: Encoding) -> str:
+    return f"{diff_id.removeprefix('sha256:')}.{encoding}.json"
 
 
 def _pack(chunks: Iterable[bytes], out: IO[bytes], encoding: Encoding) -> Blob:
@@ -197,7 +225,7 @@ def _pack(chunks: Iterable[bytes], out: IO[bytes], encoding: Encoding) -> Blob:
         diff_id=f"sha256:{plain.hexdigest()}",
         digest=f"sha256:{packed.hexdigest()}",
         size=size,
-        media_type=_MEDIA_TYPES.get(encoding, _ZSTD),
+        media_type=f"{PLAIN}+{encoding.partition('-')[0]}",
         unpacked=unpacked,
     )
 

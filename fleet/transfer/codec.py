@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 Encoding = Literal["zstd-long", "zstd", "gzip"]
 """``zstd-long`` finds repetitions 128 MiB apart, and who unpacks it needs that much memory; ``zstd`` needs 8 MiB."""
 
+ENCODINGS: tuple[Encoding, ...] = ("zstd-long", "zstd", "gzip")
+
 LEVEL = 3
 """Of zstd: what two cores pack about as fast as a good Wi-Fi carries it."""
 

@@ -1,33 +1,44 @@
 """Which steps bring images to a robot, and what will that take? Pure: from what is wanted and what is there to steps.
 
-There are three ways, each the fallback of the one before: the layers that are missing, all layers, and the plain archive of
-``docker save``. The first two are gathered in the robot's spool and go on after a cut; the third needs nothing of the robot.
+There are four ways, each the fallback of the one before: patches where they are quicker than the layers that are missing,
+these layers, all layers, and the plain archive of ``docker save``. All but the last are gathered in the robot's spool and
+go on after a cut; the last needs nothing of the robot.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from fleet.errors import NotReady
 from fleet.facts import IDENTITY
 from fleet.plan import ImageArchive, Parcel, Piece, Step, human_bytes, human_seconds
-from fleet.transfer import archive, receive
-from fleet.transfer.pieces import Lack, lacking
+from fleet.transfer import archive, receive, remaking
+from fleet.transfer.pieces import Blob, Lack, lacking
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from fleet.facts import Facts
     from fleet.image import Image
-    from fleet.transfer.archive import Wanted
-    from fleet.transfer.pieces import Blob
+    from fleet.transfer.archive import Frame, Wanted
+    from fleet.transfer.receive import Shipment
+    from fleet.transfer.remaking import Remade
 
-Way = Literal["missing layers", "all layers", "plain stream"]
-WAYS: tuple[Way, ...] = ("missing layers", "all layers", "plain stream")
+Way = Literal["patches", "missing layers", "all layers", "plain stream"]
+WAYS: tuple[Way, ...] = ("patches", "missing layers", "all layers", "plain stream")
 
 LONG_WINDOW = 700_000_000
 """Bytes of memory a robot needs for layers packed with a window of 128 MiB, which dockerd keeps while it unpacks."""
+
+UNKNOWN_RATE = 2_500_000
+"""Bytes per second that a link is taken for as long as nobody has measured it: a fair Wi-Fi."""
+
+MAKING = 2.0
+"""Seconds a robot needs for making a layer beside those that depend on its size: it starts programs, and looks at files."""
+
+MADE_PER_SECOND = 15_000_000
+"""Bytes of a layer that a robot makes in a second, both times: once to check, once for Docker. A Pi 4's card reads 40 MB."""
 
 SLACK = 1.05
 """File systems and stores add a little to what they hold."""
@@ -43,7 +54,7 @@ class Delivery:
 
 def lack(images: Sequence[Image], facts: Facts, *, way: Way) -> Lack:
     """What must be sent of some images; ``all layers`` believes nothing of what seems to be there."""
-    believed = way == "missing layers"
+    believed = way in ("patches", "missing layers")
     return lacking(
         [image.layers for image in images],
         chains=facts.stock.chains if believed else (),
@@ -65,32 +76,68 @@ def pieces(
     *,
     lack: Lack,
     packed: Mapping[str, Blob],
+    made: Mapping[str, Remade],
     facts: Facts,
-    to: str,
-    token: str,
-    by: str,
-    rate: float | None,
+    shipment: Shipment,
 ) -> Delivery:
-    """Send the layers that a robot lacks; ``packed`` holds them, ``rate`` is the link's last known, in bytes per second.
+    """Send the layers that a robot lacks, or have it make those that are in ``made``.
+
+    ``packed`` are the layers as they are sent.
 
     Raises:
         NotReady: the robot's disk would not hold them.
 
     """
-    sent = tuple({packed[one].digest: packed[one] for one in lack.send}.values())
-    frame = archive.frame([wanted for _, wanted in images], blobs={**lack.there, **packed}, sent=sent)
-    parts = [Piece(digest=frame.hex, size=len(frame.data), data=frame.data)]
-    parts += [Piece(digest=blob.hex, size=blob.size, there=_there(blob, facts)) for blob in sent]
-    label = f"{len(sent)} of {lack.layers} layers"
-    parcel = Parcel(label=label, to=to, pieces=tuple(parts))
-    after = _room(sent, parcel, facts)
+    blobs = {**packed, **{one: Blob.plain(one, layer.size) for one, layer in made.items()}}
+    members = tuple({blobs[one].digest: blobs[one] for one in lack.send}.values())
+    frame = archive.frame([wanted for _, wanted in images], blobs={**lack.there, **blobs}, sent=members)
+    label = f"{len(members)} of {lack.layers} layers"
+    parcel = Parcel(label=label, to=shipment.to, pieces=_parts(frame, members, made, facts))
+    after = _room(members, parcel, facts)
+    making = f", {_makes(made)}" if made else ""
     return Delivery(
         steps=(
-            receive.step(parcel, frame, title=f"send {label}", token=token, by=by),
+            receive.step(parcel, frame, members, made, title=f"send {label}{making}", shipment=shipment),
             *(_prove(image) for image, _ in images),
         ),
-        forecast="; ".join((f"lacks {label}, {_takes(parcel, rate)}", _disk(facts.disk_free, after))),
+        forecast="; ".join(
+            (f"lacks {label}, {_takes(parcel, shipment.rate)}{making}", _disk(facts.disk_free, after))
+        ),
     )
+
+
+def may_make(facts: Facts) -> bool:
+    """Whether a robot can make a layer of another one: only root may read Docker's."""
+    return facts.stock.python and facts.stock.zstd and facts.sudo in ("root", "free")
+
+
+def saves(packed: Blob, *, patch: int, rate: float | None) -> bool:
+    """Whether a layer is there sooner when the robot makes it with a patch of so many bytes than when it is sent."""
+    sooner = (packed.size - patch) / (rate or UNKNOWN_RATE)
+    return sooner > MAKING + packed.unpacked / MADE_PER_SECOND
+
+
+def _parts(
+    frame: Frame, members: Sequence[Blob], made: Mapping[str, Remade], facts: Facts
+) -> tuple[Piece, ...]:
+    """The frame, the layers that are sent, and what others are made with."""
+    parts = [Piece(digest=frame.hex, size=len(frame.data), data=frame.data)]
+    if made:
+        program = remaking.program()
+        parts.append(Piece(digest=remaking.program_digest(), size=len(program), data=program))
+    for blob in members:
+        if blob.diff_id not in made:
+            parts.append(Piece(digest=blob.hex, size=blob.size))
+        elif patch := made[blob.diff_id].patch:
+            parts.append(patch)
+    return tuple(replace(part, there=min(facts.stock.spool.get(part.digest, 0), part.size)) for part in parts)
+
+
+def _makes(made: Mapping[str, Remade]) -> str:
+    patched = sum(layer.patch is not None for layer in made.values())
+    copied = len(made) - patched
+    ways = (f"{patched} of them as patches" * (patched > 0), f"{copied} copied there" * (copied > 0))
+    return " and ".join(filter(None, ways))
 
 
 def _takes(parcel: Parcel, rate: float | None) -> str:
@@ -117,10 +164,6 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
     _refuse(2 * SLACK * size, facts)
     steps = (step for image in images for step in (_load(image), _prove(image)))
     return Delivery(steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images")
-
-
-def _there(blob: Blob, facts: Facts) -> int:
-    return min(facts.stock.spool.get(blob.hex, 0), blob.size)
 
 
 def _room(sent: Sequence[Blob], parcel: Parcel, facts: Facts) -> float:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+
+
+PLAIN = "application/vnd.oci.image.layer.v1.tar"
+"""The media type of a layer's tar; what is packed adds to it (opencontainers/image-spec, layer.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +27,11 @@ class Blob:
     size: int
     media_type: str
     unpacked: int = 0
+
+    @classmethod
+    def plain(cls, diff_id: str, size: int) -> Blob:
+        """A layer's tar as it is."""
+        return cls(diff_id=diff_id, digest=diff_id, size=size, media_type=PLAIN, unpacked=size)
 
     @property
     def hex(self) -> str:
@@ -68,12 +78,20 @@ def lacking(
     have = list(chains)
     send = []
     for image in images:
-        send += image[max((_common(image, chain) for chain in have), default=0) :]
+        send += image[max((common(image, chain) for chain in have), default=0) :]
         have.append(image)
     return Lack(send=tuple(dict.fromkeys(send)), there={}, layers=len(everything))
 
 
-def _common(one: Sequence[str], other: Sequence[str]) -> int:
+def chain_id(diff_ids: Sequence[str]) -> str:
+    """The name of a chain of layers, lowest first, in a classic store (opencontainers/image-spec, config.md)."""
+    chain = diff_ids[0]
+    for diff_id in diff_ids[1:]:
+        chain = f"sha256:{hashlib.sha256(f'{chain} {diff_id}'.encode()).hexdigest()}"
+    return chain
+
+
+def common(one: Sequence[str], other: Sequence[str]) -> int:
     """The length of their common prefix."""
     pairs = zip(one, other, strict=False)
     return next((count for count, (a, b) in enumerate(pairs) if a != b), min(len(one), len(other)))

@@ -7,14 +7,20 @@ get the name by which releases know it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fleet.plan import Step
+from fleet.transfer import remaking
 from fleet.transfer.archive import BLOCK, INCOMING
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from fleet.plan import Parcel
     from fleet.transfer.archive import Frame
+    from fleet.transfer.pieces import Blob
+    from fleet.transfer.remaking import Remade
 
 UNUSABLE = 65
 """Exit code: all arrived, and the engine cannot use it. Another way of sending may help (sysexits.h, EX_DATAERR)."""
@@ -24,6 +30,20 @@ BUSY = 75
 
 STALE = 70
 """Seconds after which a shipment that receives nothing is taken for dead, and so how long to wait for another one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shipment:
+    """One run's way to one robot: its address, a ``token`` of the run's own, who ships (``tim@desktop``).
+
+    ``rate`` is the link's last known one, in bytes per second.
+    """
+
+    to: str
+    token: str
+    by: str
+    rate: float | None = None
+
 
 SCRIPT = f"""\
 # receive what is missing into ~/.fleet/spool, load it into Docker, prove it, name it
@@ -60,16 +80,21 @@ receive() {{
   done
 }}
 each() {{ for line in "$@"; do case $line in "$kind "*) set -f; $do $line; esac; done; }}
-blob() {{ receive "$2" "$3"; }}
-kind=blob do=blob; each "$@"
+piece() {{ receive "$2" "$3"; }}
+kind=piece do=piece; each "$@"
 echo enough
+
+# A layer that is made here is made twice: first only to see that it comes out right, so that it is never on the disk as a file.
+root() {{ if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@"; fi; }}
+check() {{ [ "$4" = cat ] || {{ shift 3; root "$@" --check || exit {UNUSABLE}; }}; }}
+kind=layer do=check; each "$@"
 
 # The archive is put together as it flows: a header from the frame, the layer, up to a whole block; then the frame's rest.
 count=0
 member() {{
-  [ "$2" != "$frame" ] || return 0
-  dd if="$frame" bs={BLOCK} skip="$count" count=1 status=none; cat "$2"; head -c $(((-$3 % {BLOCK} + {BLOCK}) % {BLOCK})) /dev/zero
-  count=$((count + 1))
+  size=$3; dd if="$frame" bs={BLOCK} skip="$count" count=1 status=none; count=$((count + 1))
+  if [ "$4" = cat ]; then cat "$2"; else shift 3; root "$@"; fi || exit 1
+  head -c $(((-size % {BLOCK} + {BLOCK}) % {BLOCK})) /dev/zero
 }}
 archive() {{ do=member; each "$@"; tail -c +$((count * {BLOCK} + 1)) "$frame"; head -c {2 * BLOCK} /dev/zero; }}
 load() {{ said=$(archive "$@" | docker load --quiet 2>&1) && case $said in *'Error unpacking'*) return 1; esac; }}
@@ -95,18 +120,48 @@ find . -type f ! -name lock -exec rm -f {{}} +
 """
 
 
-def step(parcel: Parcel, frame: Frame, *, title: str, token: str, by: str) -> Step:
-    """Send a parcel, whose first piece is the frame, and have it loaded; ``token`` is this run's own, ``by`` who ships."""
-    blobs = (f"blob {piece.digest} {piece.size}" for piece in parcel.pieces)
+def step(
+    parcel: Parcel,
+    frame: Frame,
+    members: Sequence[Blob],
+    made: Mapping[str, Remade],
+    *,
+    title: str,
+    shipment: Shipment,
+) -> Step:
+    """Send a parcel, put ``members`` into the frame's archive, those of ``made`` as the robot makes them, and load it."""
+    by = "_".join(shipment.by.split())
+    pieces = (f"piece {piece.digest} {piece.size}" for piece in parcel.pieces)
+    layers = (f"layer {blob.hex} {blob.size} {_comes(blob, made.get(blob.diff_id))}" for blob in members)
     images = (
         f"image {r.image.incoming} {r.image.fingerprint} {r.image.name} {' '.join(r.ids)} {r.offset} {r.length}"
         for r in frame.receipts
     )
     return Step(
         title=title,
-        argv=("sh", "-c", SCRIPT, "receive", token, by.replace(" ", "_"), frame.hex, *blobs, *images),
+        argv=(
+            "sh",
+            "-c",
+            SCRIPT,
+            "receive",
+            shipment.token,
+            by,
+            frame.hex,
+            *pieces,
+            *layers,
+            *images,
+        ),
         feed=parcel,
         limit=None,
         harmless=True,
         resumes=True,
     )
+
+
+def _comes(blob: Blob, made: Remade | None) -> str:
+    """How a layer comes into the archive: ``cat`` stands for the piece of its name, else a command that writes it."""
+    if made is None:
+        return "cat"
+    patch = made.patch.digest if made.patch else ""
+    program = remaking.program_digest()
+    return " ".join(remaking.argv(program, made.source.where, wanted=blob.diff_id, patch=patch))

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING
 
+from fleet.transfer.pieces import chain_id, common
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
+
+    from fleet.plan import Piece
+    from fleet.transfer.pieces import Blob
 
 UNUSABLE = 65
 """Exit code: the old layer or the patch is damaged, or they are not of each other (sysexits.h, EX_DATAERR)."""
@@ -22,9 +29,65 @@ DATA_ROOT = "/var/lib/docker"
 _CONTENT = "io.containerd.content.v1.content/blobs/sha256"
 
 
-def program() -> str:
-    """The text of the program, to be sent to a robot."""
-    return (resources.files("fleet.transfer") / "rebuild.py").read_text(encoding="utf-8")
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A layer that a robot has, and of which another one may be made; ``where`` are the arguments that name it there."""
+
+    diff_id: str
+    where: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remade:
+    """A layer (``diff_id``, ``size`` bytes of tar) that a robot makes of one it has; without a patch it is the same one."""
+
+    diff_id: str
+    size: int
+    source: Source
+    patch: Piece | None
+
+
+def sources(
+    images: Iterable[tuple[str, ...]],
+    lacking: Iterable[str],
+    *,
+    chains: Iterable[tuple[str, ...]],
+    manifests: Iterable[Sequence[Blob]],
+    containerd: bool,
+) -> dict[str, Source]:
+    """For each layer that is lacking the one it may be made of: itself in another place, or else its predecessor.
+
+    That is the layer in the same place of the image there that has most layers below it in common.
+    """
+    there = (
+        [tuple((blob.diff_id, from_blob(blob.digest)) for blob in blobs) for blobs in manifests]
+        if containerd
+        else [_places(chain) for chain in chains]
+    )
+    same = {diff_id: where for places in there for diff_id, where in places}
+    found: dict[str, Source] = {}
+    for image in images:
+        nearest = sorted(there, key=lambda places: -common(image, [diff_id for diff_id, _ in places]))
+        for at, wanted in enumerate(image):
+            if wanted in same:
+                found[wanted] = Source(diff_id=wanted, where=same[wanted])
+            elif place := next((places[at] for places in nearest if len(places) > at), None):
+                found.setdefault(wanted, Source(diff_id=place[0], where=place[1]))
+    return {wanted: found[wanted] for wanted in lacking if wanted in found}
+
+
+def _places(chain: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple((diff_id, from_chain(chain_id(chain[: at + 1]))) for at, diff_id in enumerate(chain))
+
+
+def program() -> bytes:
+    """The program, to be sent to a robot."""
+    return (resources.files("fleet.transfer") / "rebuild.py").read_bytes()
+
+
+def program_digest() -> str:
+    """Its SHA-256 in hex: what it is called in a robot's spool."""
+    return hashlib.sha256(program()).hexdigest()
 
 
 def from_chain(chain_id: str, *, root: str = DATA_ROOT) -> tuple[str, ...]:

@@ -8,14 +8,17 @@ import secrets
 from typing import TYPE_CHECKING, Self
 
 from fleet.plan import Parcel
-from fleet.transfer import delivery
+from fleet.transfer import delivery, remaking
 from fleet.transfer.archive import Wanted
 from fleet.transfer.cache import Cache, folder
 from fleet.transfer.courier import Courier
 from fleet.transfer.delivery import Delivery
+from fleet.transfer.patches import Patches
+from fleet.transfer.receive import Shipment
+from fleet.transfer.remaking import Remade
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Sequence
+    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from fleet.facts import Facts
@@ -43,6 +46,7 @@ class Sender:
         open_feed: Callable[[Feed], Iterable[bytes]],
     ) -> None:
         self._cache = cache
+        self._patches = Patches(cache)
         self._pace = pace
         self._by = by
         self._rates = Rates(rates)
@@ -74,19 +78,18 @@ class Sender:
         if way == "plain stream":
             return delivery.stream(images, facts=facts)
         lack = delivery.lack(images, facts, way=way)
+        encoding, rate = delivery.encoding(facts), self._rate(robot)
         packed: dict[str, Blob] = {}
         for image in images:
             own = [diff_id for diff_id in image.layers if diff_id in lack.send and diff_id not in packed]
-            packed |= self._cache.pack(image, own, delivery.encoding(facts)) if own else {}
+            packed |= self._cache.pack(image, own, encoding) if own else {}
         return delivery.pieces(
             tuple((image, self._wanted(image)) for image in images),
             lack=lack,
             packed=packed,
+            made=self._made(images, packed, facts, rate=rate) if way == "patches" else {},
             facts=facts,
-            to=robot.address,
-            token=self._token,
-            by=self._by,
-            rate=_least(self._rates.of(robot.address), self._pace.rate),
+            shipment=Shipment(to=robot.address, token=self._token, by=self._by, rate=rate),
         )
 
     def open(self, feed: Feed) -> Iterable[bytes]:
@@ -94,6 +97,30 @@ class Sender:
         if isinstance(feed, Parcel):
             return Courier(feed, open_piece=self._cache.open, pace=self._pace, ended=self._rates.note)
         return self._open(feed)
+
+    def _made(
+        self, images: Sequence[Image], packed: Mapping[str, Blob], facts: Facts, *, rate: float | None
+    ) -> dict[str, Remade]:
+        """Those of the packed layers that are there sooner when the robot makes them of what it has."""
+        if not delivery.may_make(facts):
+            return {}
+        stock, made = facts.stock, {}
+        layers, known = [image.layers for image in images], (stock.chains, stock.manifests)
+        for wanted, source in remaking.sources(
+            layers, packed, chains=known[0], manifests=known[1], containerd=facts.containerd
+        ).items():
+            blob = packed[wanted]
+            patch, same = None, source.diff_id == wanted
+            if not same and delivery.saves(blob, patch=0, rate=rate):
+                patch = self._patches.make(old=source.diff_id, new=wanted)
+            if same or patch:
+                cost = patch.size if patch else 0
+                if delivery.saves(blob, patch=cost, rate=rate):
+                    made[wanted] = Remade(diff_id=wanted, size=blob.unpacked, source=source, patch=patch)
+        return made
+
+    def _rate(self, robot: Robot) -> float | None:
+        return _least(self._rates.of(robot.address), self._pace.rate)
 
     def _wanted(self, image: Image) -> Wanted:
         config = self._cache.config(image)

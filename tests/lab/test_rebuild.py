@@ -69,7 +69,7 @@ def test_a_layer_of_a_pis_own_engine_becomes_a_new_one(pi: Pi) -> None:
     try:
         assert ssh("docker", "load", stdin=archive()).returncode == 0
         assert ssh("mkdir", place).returncode == 0
-        for name, data in (("rebuild.py", remaking.program().encode()), ("patch", made(OLD, NEW))):
+        for name, data in (("rebuild.py", remaking.program()), ("patch", made(OLD, NEW))):
             assert ssh("tee", f"{place}/{name}", stdin=data).returncode == 0
         check, write, copy = arguments(ssh(*INFO).stdout.decode(), place)
         assert ssh("sudo", "-n", *check).stdout == b""
@@ -93,7 +93,7 @@ def test_a_layer_of_this_computers_engine_becomes_a_new_one(lab: Lab) -> None:
     subprocess.run(("docker", "load"), input=archive(), capture_output=True, check=True)
     stores = {root.split()[1], "/var/lib/containerd"}
     volumes = (part for store in stores for part in ("--volume", f"{store}:{store}:ro"))
-    files = io.BytesIO(tar({"rebuild.py": remaking.program().encode(), "patch": made(OLD, NEW)}))
+    files = io.BytesIO(tar({"rebuild.py": remaking.program(), "patch": made(OLD, NEW)}))
     container = (
         "docker",
         "create",
