@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-from bench.images import VARIANTS
+from bench.images import NAME, VARIANTS
 from bench.report import COLUMNS, Row, table
 from bench.transfer import CUT, OUTAGE, QUALITY
 from bench.ways import WAYS
@@ -112,7 +112,7 @@ def page(measured: Measured, *, when: str, machine: str) -> str:
         f"- {WAYS[way]}, {names()[what]}: not measured, {reason}"
         for (way, what), reason in measured.failed.items()
     ]
-    first = next(iter(measured.layers.values()))
+    first = measured.layers[f"{NAME}:v1"]
     return _PAGE.format(
         when=when,
         machine=machine,

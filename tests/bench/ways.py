@@ -163,10 +163,11 @@ class Lane:
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
             if code is None:
-                raise RuntimeError(f"{script} took longer than {limit:g} s, or was ended")
+                raise RuntimeError(f"it took longer than {limit:g} s, or was ended")
             if code:
                 said.seek(0)
-                raise RuntimeError(f"{script} ended with code {code}: {said.read().strip()[-800:]}")
+                last = " / ".join(said.read().split("\n")[-4:]).replace(f"{self.folder}/", "")
+                raise RuntimeError(f"it ended with code {code}: {last}")
 
     def _wait(self, process: subprocess.Popen[bytes], limit: float) -> int | None:
         """Its exit code; None where it takes longer, or nobody wants to know any more."""
