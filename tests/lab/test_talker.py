@@ -166,7 +166,7 @@ def test_edit_of_the_node_is_one_small_layer(image: str, tmp_path: Path) -> None
 
 
 def test_talks_prints_is_healthy_and_stops(image: str, start: Start) -> None:
-    """The whole life of a container: messages as promised, the same in its log, healthy, gone in under 3 s."""
+    """The whole life of a container: messages as promised, the same in its log, healthy, gone when asked to."""
     robot = start(image)
     message = first_message(robot, within=30)
     year = time.strftime("%Y", time.gmtime())
@@ -177,7 +177,9 @@ def test_talks_prints_is_healthy_and_stops(image: str, start: Start) -> None:
     assert inside("id", "--user").stdout.strip() == "1000"
     began = time.monotonic()
     docker("stop", NAME)
-    assert time.monotonic() - began < 3
+    # It takes 2 s where nothing else runs; after 10 s Docker would have killed it.
+    assert time.monotonic() - began < 8
+    assert inspect(NAME, "{{.State.ExitCode}}") != "137"
 
 
 def test_passes_the_packages_own_test(start: Start) -> None:
