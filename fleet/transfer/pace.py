@@ -23,8 +23,10 @@ def bytes_per_second(said: str) -> float | None:
     """
     if not said:
         return None
-    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) *([kmg]bit|[km]b)(?:/s|ps)?", said.strip().lower())
-    rate = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    found = re.fullmatch(
+        r"([0-9]+(?:\.[0-9]+)?) *(?:([kmg]bit)(?:/s|ps)?|([km]b)(?:/s)?)", said.strip().lower()
+    )
+    rate = float(found[1]) * _UNITS[found[2] or found[3]] if found else 0.0
     if rate < 1000:
         raise Mistake(f"--limit {said} is no rate", cure="write it as 8Mbit (bits) or 1MB (bytes) per second")
     return rate
