@@ -57,7 +57,7 @@ doing() {{ printf '%s %s %s %s\\n' "$group" "$token" "$1" "$by" > holder; }}
 exec 9>> lock
 waited=0
 until flock -n 9; do
-  read -r its theirs does whose < holder 2> /dev/null || {{ its='' theirs='' does='' whose=somebody; }}
+  read -r its theirs does whose 2> /dev/null < holder || {{ its='' theirs='' does='' whose=somebody; }}
   if [ "$theirs" = "$token" ] || {{ [ "$does" = receive ] && [ -z "$(find . -type f ! -name lock -mmin -1)" ]; }}; then
     [ -z "$its" ] || kill -- "-$its" 2> /dev/null || true
   fi
@@ -98,8 +98,12 @@ member() {{
 }}
 archive() {{ do=member; each "$@"; tail -c +$((count * {BLOCK} + 1)) "$frame"; head -c {2 * BLOCK} /dev/zero; }}
 load() {{ said=$(archive "$@" | docker load --quiet 2>&1) && case $said in *'Error unpacking'*) return 1; esac; }}
+forget() {{ # the private names, and what an attempt that broke off has left of its proof
+  docker ps -aq --filter label={INCOMING} | xargs -r docker rm --volumes > /dev/null
+  docker image ls --format '{{{{.Repository}}}}:{{{{.Tag}}}}' {INCOMING} | xargs -r docker image rm > /dev/null
+}}
 doing load
-docker image ls --format '{{{{.Repository}}}}:{{{{.Tag}}}}' {INCOMING} | xargs -r docker image rm > /dev/null
+forget
 if ! load "$@"; then
   case $said in *'no space left'*) echo "$said" >&2; exit 1; esac
   for _ in $(seq 30); do ! docker version > /dev/null 2>&1 || break; sleep 2; done # an engine that restarts
@@ -110,12 +114,13 @@ fi
 image() {{
   id=$(docker image inspect --format '{{{{.Id}}}}' "$2") || exit {UNUSABLE}
   [ "$id" = "$5" ] || [ "$id" = "$6" ] || {{ echo "$4 arrived as $id" >&2; exit {UNUSABLE}; }}
-  made=$(docker create "$2" true) || exit {UNUSABLE}
-  docker rm "$made" > /dev/null
+  made=$(docker create --label {INCOMING} "$2" true) || exit {UNUSABLE}
+  docker rm --volumes "$made" > /dev/null
   tail -c +"$(($7 + 1))" "$frame" | head -c "$8" > ../receipts/new && mv ../receipts/new "../receipts/$3"
-  docker tag "$2" "$4"; docker image rm "$2" > /dev/null
+  docker tag "$2" "$4" # the private name stays for now: two images may be one, called differently
 }}
 kind=image do=image; each "$@"
+forget
 find . -type f ! -name lock -exec rm -f {{}} +
 """
 
