@@ -14,7 +14,6 @@ import os
 import tarfile
 import tempfile
 import threading
-import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -138,7 +137,7 @@ class Cache:
 
     def note(self, name: str, text: str) -> None:
         """Keep a note, whole or not at all: another run may read it."""
-        part = self._directory / f".{name}.{os.getpid()}"
+        part = self._directory / f".{name}.{os.getpid()}.{threading.get_ident()}"
         part.write_text(text, encoding="utf-8")
         part.replace(self._directory / name)
 
@@ -173,7 +172,7 @@ class Cache:
     def _keep_config(self, image: Image, small: dict[str, bytes]) -> None:
         try:
             config = small[json.loads(small["manifest.json"])[0]["Config"]]
-        except (KeyError, IndexError, ValueError) as problem:
+        except (KeyError, IndexError, TypeError, ValueError) as problem:
             raise DesktopError(f"the archive of {image.reference} names no configuration") from problem
         self.note(f"{image.fingerprint}.config", config.decode())
 
@@ -263,6 +262,6 @@ class _Pieces(io.RawIOBase):
 def _explained() -> Generator[None]:
     try:
         yield
-    except (OSError, tarfile.TarError, zlib.error) as problem:
+    except (OSError, tarfile.TarError, *codec.DAMAGED) as problem:
         what = f"packing layers for sending failed: {problem}"
         raise DesktopError(what, cure="is there room in ~/.cache?") from problem

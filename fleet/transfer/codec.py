@@ -35,6 +35,9 @@ SHORTEST_REFERENCE = 8
 TRAINED = b"\x37\xa4\x30\xec"
 """How a trained dictionary begins (RFC 8878, section 6), which a reference must not."""
 
+DAMAGED = (zlib.error, zstd.ZstdError)
+"""What is raised of packed bytes that are not right."""
+
 _WINDOW_LOG: Mapping[Encoding, int] = {"zstd-long": 27, "zstd": 23}
 _LARGEST_WINDOW_LOG = 27  # 128 MiB: the most that `zstd -d` accepts without being told to
 _WORKERS = 2  # any number above none gives the same bytes; none at all gives others
@@ -47,6 +50,16 @@ class _Engine(Protocol):
     def compress(self, data: bytes, /) -> bytes: ...
 
     def flush(self) -> bytes: ...
+
+
+class _Unpacker(Protocol):
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def unused_data(self) -> bytes: ...
+
+    def decompress(self, data: bytes, /) -> bytes: ...
 
 
 class Compressor:
@@ -98,14 +111,33 @@ def is_packed(first: bytes) -> bool:
 
 
 def inflater(first: bytes) -> Callable[[bytes], bytes]:
-    """What unpacks a stream that begins so, piece by piece; plain bytes stay as they are."""
+    """What unpacks a stream that begins so, piece by piece; plain bytes stay as they are. Raises `DAMAGED`."""
     if first.startswith(_GZIP_MAGIC):
-        return zlib.decompressobj(_GZIP).decompress
+        return _Inflater(lambda: zlib.decompressobj(_GZIP))
     if first.startswith(_ZSTD_MAGIC):
-        return zstd.ZstdDecompressor(
-            options={zstd.DecompressionParameter.window_log_max: _LARGEST_WINDOW_LOG}
-        ).decompress
+        return _Inflater(
+            lambda: zstd.ZstdDecompressor(
+                options={zstd.DecompressionParameter.window_log_max: _LARGEST_WINDOW_LOG}
+            )
+        )
     return bytes
+
+
+class _Inflater:
+    """Unpacks what may be several streams, one after the other: some builders pack each file of a layer for itself."""
+
+    def __init__(self, make: Callable[[], _Unpacker]) -> None:
+        self._make = make
+        self._one = make()
+
+    def __call__(self, data: bytes) -> bytes:
+        plain = []
+        while data:
+            if self._one.eof:
+                self._one = self._make()
+            plain.append(self._one.decompress(data))
+            data = self._one.unused_data
+        return b"".join(plain)
 
 
 def packed_against(reference: bytes, data: bytes, *, level: int = LEVEL) -> bytes:
