@@ -79,6 +79,7 @@ receive() {{
     rm -f "$1"; [ "$have" != 0 ] || {{ echo "piece $1 arrived damaged" >&2; exit {UNUSABLE}; }}
   done
 }}
+# shellcheck disable=SC2086 # the words of a line are the arguments
 each() {{ for line in "$@"; do case $line in "$kind "*) set -f; $do $line; esac; done; }}
 piece() {{ receive "$2" "$3"; }}
 kind=piece do=piece; each "$@"
