@@ -149,7 +149,7 @@ class Rates:
         try:
             said = json.loads(self._path.read_text(encoding="utf-8"))
             return {str(name): float(rate) for name, rate in said.items()}
-        except (OSError, ValueError, AttributeError, TypeError):
+        except (OSError, ValueError, AttributeError, TypeError, OverflowError):
             return {}
 
 
