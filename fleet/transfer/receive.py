@@ -146,16 +146,8 @@ def step(
     return Step(
         title=title,
         argv=(
-            "sh",
-            "-c",
-            SCRIPT,
-            "receive",
-            shipment.token,
-            by,
-            frame.hex,
-            *pieces,
-            *layers,
-            *images,
+            *("sh", "-c", SCRIPT, "receive", shipment.token, by, frame.hex),
+            *(*pieces, *layers, *images),
         ),
         feed=parcel,
         limit=None,
