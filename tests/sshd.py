@@ -10,7 +10,7 @@ import signal
 import socket
 import subprocess
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fleet import hostkeys, ssh
@@ -90,6 +90,14 @@ class Sshd:
         """End it, with its connections."""
         self.signal(signal.SIGKILL)
         self.process.wait()
+
+    def again(self) -> Sshd:
+        """One that was stopped, as it was: where it listened, with its keys. It listens when this returns."""
+        listens = self.log.read_text().count("Server listening")
+        process = subprocess.Popen(self.process.args, start_new_session=True)
+        while process.poll() is None and self.log.read_text().count("Server listening") == listens:
+            time.sleep(0.002)
+        return replace(self, process=process)
 
 
 class Sshds:

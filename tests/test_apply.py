@@ -1,25 +1,30 @@
 from __future__ import annotations
 
+import queue
 import threading
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 from homes import Home, Told, start
 
-from fleet.apply import apply
+from fleet import apply as applying
+from fleet.apply import UNUSABLE, apply
 from fleet.errors import DesktopError
 from fleet.line import Line
 from fleet.plan import Bytes, ImageArchive, Outcome, Plan, Record, Step
 from fleet.rollout import each
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from sshd import Sshds
 
     from fleet.plan import Feed
+
+    Opener = Callable[[Feed], Iterable[bytes]]
 
 RECORD = Record(verb="ship", release="abc", by="tim@desktop")
 
@@ -40,10 +45,17 @@ def open_bytes(feed: Feed) -> Iterable[bytes]:
     return (feed.data[:3], feed.data[3:])
 
 
-def applied(home: Home, plan: Plan, *, watch: Told | None = None) -> Outcome:
+def applied(
+    home: Home,
+    plan: Plan,
+    *,
+    watch: Told | None = None,
+    open_feed: Opener = open_bytes,
+    patience: float = 20.0,
+) -> Outcome:
     line = Line(home.robot)
     try:
-        return apply(plan, line, open_feed=open_bytes, watch=watch or Told())
+        return apply(plan, line, open_feed=open_feed, watch=watch or Told(), patience=patience)
     finally:
         line.close()
 
@@ -254,3 +266,229 @@ def test_a_robot_that_vanishes_before_a_fresh_login_is_told_so(home: Home, tmp_p
     assert (outcome.status, outcome.step) == ("failed", "again")
     assert "refuses connections" in outcome.reason
     assert (tmp_path / "home of pi1/began").exists()
+
+
+class Away:
+    """Takes a robot away each time its file ``began`` grows by a line, and brings it back at the same address, or not."""
+
+    def __init__(self, home: Home, *, times: int, back: bool = True) -> None:
+        self._home = home
+        self._sshd = home.server
+        self._times = times
+        self._back = back
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    @property
+    def attempts(self) -> int:
+        file = self._home.path / "began"
+        return file.read_text().count("\n") if file.exists() else 0
+
+    def _run(self) -> None:
+        for time_ in range(1, self._times + 1):
+            end = time.monotonic() + 30
+            while self.attempts < time_ and time.monotonic() < end:
+                time.sleep(0.01)
+            self._sshd.stop()
+            if self._back:
+                self._sshd = self._sshd.again()
+
+    def end(self) -> None:
+        self._thread.join()
+        self._sshd.stop()
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lost link is tried again sooner than people would want it."""
+    monkeypatch.setattr(applying, "_PAUSES", (0.1, 0.2))
+
+
+LASTS = "echo >> began; test $(wc -l < began) -gt 1 || sleep 20; echo through"
+"""The first attempt lasts until its link is cut."""
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_step_that_resumes_goes_on_when_the_robot_is_back(home: Home) -> None:
+    """On a new connection, the steps before it not being run again; it is told why it takes longer."""
+    away, told = Away(home, times=1), Told()
+    steps = (
+        sh("echo >> first"),
+        replace(sh(LASTS, title="go on", expect="through"), resumes=True),
+        sh("echo >> last"),
+    )
+    outcome = applied(home, Plan(robot="pi1", summary="all", steps=steps, record=RECORD), watch=told)
+    away.end()
+    assert (outcome.status, outcome.summary) == ("done", "all")
+    assert away.attempts == 2
+    assert [(home.path / name).read_text() for name in ("first", "last")] == ["\n", "\n"]
+    assert [title for _, title, _ in told.began_with if title == "go on"] == ["go on"] * len(told.said) + [
+        "go on"
+    ]
+    (name, text), *_ = told.said
+    assert name == "pi1"
+    assert text.endswith("; trying again for 20 s")
+    assert [line[-1] for line in home.history] == ["done"]
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_step_that_does_not_resume_is_not_run_again(home: Home) -> None:
+    """Whether it can stand that is not known."""
+    away, told = Away(home, times=1), Told()
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(sh(LASTS, title="once"),)), watch=told)
+    away.end()
+    assert (outcome.status, outcome.step, away.attempts) == ("failed", "once", 1)
+    assert told.said == []
+
+
+@pytest.mark.usefixtures("hurried")
+def test_patience_ends(home: Home) -> None:
+    """A robot that stays away is told as such, and what to do."""
+    away = Away(home, times=1, back=False)
+    steps = (replace(sh(LASTS, title="go on"), resumes=True), sh("touch never"))
+    began = time.monotonic()
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps), patience=0.5)
+    away.end()
+    assert time.monotonic() - began < 15
+    assert (outcome.status, outcome.step, away.attempts) == ("failed", "go on", 1)
+    assert "refuses connections" in outcome.reason
+    assert outcome.cure
+    assert not outcome.unusable
+
+
+@pytest.mark.usefixtures("hurried")
+def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
+    """A link that is cut again and again, and carries something each time, is worth waiting for."""
+    away = Away(home, times=3)
+    goes_on = "cat > got; echo >> began; test $(wc -l < began) -gt 3 || sleep 20"
+    step = replace(
+        sh(goes_on, title="send"), feed=Bytes(label="b", data=b"hello you"), resumes=True, harmless=True
+    )
+
+    def slow(_: Feed) -> Iterator[bytes]:
+        time.sleep(0.4)
+        yield b"hello you"
+
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, patience=0.9)
+    away.end()
+    assert (outcome.status, outcome.sent, away.attempts) == ("done", 4 * 9, 4)
+
+
+def test_a_command_that_fails_is_no_lost_link(home: Home) -> None:
+    """It would fail again."""
+    step = replace(sh("echo >> began; echo boom >&2; exit 1"), resumes=True)
+    assert applied(home, Plan(robot="pi1", summary="", steps=(step,))).reason == "boom"
+    assert (home.path / "began").read_text() == "\n"
+
+
+def test_what_comes_afterwards_is_no_part_of_success(home: Home) -> None:
+    """It is told as it begins, it runs though the one before failed, and the history knows of none of it."""
+    told = Told()
+    plan = Plan(
+        robot="pi1",
+        summary="release abc",
+        steps=(sh("true", title="start"),),
+        afterwards=(sh("exit 1", title="remove"), sh("touch removed", title="forget")),
+        recover=(sh("touch recovered"),),
+        record=RECORD,
+        forecast="sends nothing",
+    )
+    assert applied(home, plan, watch=told) == Outcome(robot="pi1", status="done", summary="release abc")
+    assert [title for _, title, _ in told.began_with] == ["start", "remove", "forget"]
+    assert told.said == [("pi1", "sends nothing")]
+    assert (home.path / "removed").exists()
+    assert not (home.path / "recovered").exists()
+    assert [line[-1] for line in home.history] == ["done"]
+
+
+def test_nothing_comes_afterwards_where_a_step_failed(home: Home) -> None:
+    """The old release may be needed."""
+    plan = Plan(robot="pi1", summary="", steps=(sh("exit 1"),), afterwards=(sh("touch removed"),))
+    assert applied(home, plan).status == "failed"
+    assert not (home.path / "removed").exists()
+
+
+class Talk:
+    """Answers each line that the robot says with the same in capitals, until it says ``bye``."""
+
+    def __init__(self) -> None:
+        self.said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self.closed = False
+        self.tell: Callable[[str], None] = lambda _: None
+
+    def heard(self, data: bytes) -> None:
+        for line in data.splitlines(keepends=True):
+            self.said.put(line)
+
+    def close(self) -> None:
+        self.closed = True
+        self.said.put(b"bye\n")
+
+    def __iter__(self) -> Iterator[bytes]:
+        while (line := self.said.get()) != b"bye\n":
+            self.tell(f"it says {line.decode().strip()}")
+            yield line.upper()
+
+
+ASKS = "echo one; read -r first; echo two; read -r second; echo $first $second > got"
+
+
+@pytest.mark.parametrize(
+    ("script", "status"),
+    [
+        (f"{ASKS}; echo bye", "done"),
+        (ASKS, "done"),
+        (f"{ASKS}; exit 1", "failed"),
+        ("echo one; exit 1", "failed"),
+    ],
+)
+def test_a_conversation(home: Home, script: str, status: str) -> None:
+    """What is sent depends on what the robot says; at the end it is closed, whatever the end is."""
+    talk, told = Talk(), Told()
+    step = sh(script, title="talk")
+    plan = Plan(robot="pi1", summary="", steps=(replace(step, feed=Bytes(label="talk", data=b"12345678")),))
+    outcome = applied(home, plan, watch=told, open_feed=lambda _: talk)
+    assert (outcome.status, talk.closed) == (status, True)
+    assert told.began_with[:2] == [("pi1", "talk", 8), ("pi1", "it says one", None)]
+    if "read" in script:
+        assert (home.path / "got").read_text() == "ONE TWO\n"
+        assert (outcome.sent, told.bytes) == (8, 8)
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_conversation_that_is_cut_is_closed_and_another_one_held(home: Home) -> None:
+    """Nobody asks any more, so nobody may wait for questions."""
+    away, talks = Away(home, times=1), []
+
+    def open_talk(_: Feed) -> Talk:
+        talks.append(Talk())
+        return talks[-1]
+
+    step = sh(f"echo one; read -r first; {LASTS}")
+    step = replace(step, feed=Bytes(label="talk", data=b"1234"), resumes=True)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=open_talk)
+    away.end()
+    assert outcome.status == "done"
+    assert all(talk.closed for talk in talks)
+    assert len(talks) >= 2
+
+
+@pytest.mark.parametrize(
+    ("script", "expect", "before", "unusable"),
+    [
+        (f"exit {UNUSABLE}", None, True, True),
+        ("echo no", "yes", True, True),
+        ("exit 1", None, True, False),
+        ("exit 75", None, True, False),
+        ("sleep 20", None, True, False),
+        (f"exit {UNUSABLE}", None, False, False),
+        ("echo no", "yes", False, False),
+    ],
+)
+def test_what_was_sent_and_cannot_be_used(
+    home: Home, script: str, expect: str | None, before: bool, unusable: bool
+) -> None:
+    """Another way of sending may help: after a code that says so or a proof that fails, and before what runs is touched."""
+    steps = (sh("true", harmless=before), sh(script, harmless=True, expect=expect, limit=1.0))
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps))
+    assert (outcome.status, outcome.unusable) == ("failed", unusable)

@@ -23,6 +23,7 @@ from fleet.plan import Bytes, ImageArchive, Plan, Step
 if TYPE_CHECKING:
     from sshd import Sshds
 
+    from fleet.execute import Planner
     from fleet.inventory import Robot
 
 
@@ -123,6 +124,94 @@ def test_a_planner_that_refuses_fails_its_robot(home: Home, screen: Screen) -> N
 
     assert execute([home.robot], refuse, dry=False, json=False, screen=screen) == 1
     assert text(screen)[0] == "pi1  failed       Docker is not installed\n       cure: `fab provision`\n"
+
+
+def climbing(tries: list[str], *scripts: str) -> list[Planner]:
+    """One planner for each script, which remembers that it was asked."""
+
+    def rung(script: str) -> Planner:
+        def make(robot: Robot, facts: Facts) -> Plan:
+            tries.append(script)
+            if script == "refuse":
+                raise NotReady("there is no room")
+            assert facts.login
+            step = Step(title="try", argv=("sh", "-c", script), harmless=True)
+            return Plan(robot=robot.name, summary=f"by {script}", steps=(step,))
+
+        return make
+
+    return [rung(script) for script in scripts]
+
+
+@pytest.mark.parametrize(
+    ("scripts", "tried", "code", "says"),
+    [
+        (("true", "exit 65"), 1, 0, "pi1  done         by true"),
+        (("exit 65", "true"), 2, 0, "pi1  done         by true"),
+        (("exit 65", "echo no >&2; exit 65", "true"), 3, 0, "pi1  done         by true"),
+        (("exit 65", "echo no >&2; exit 65"), 2, 1, "pi1  failed       try: no"),
+        (("exit 65", "exit 1", "true"), 2, 1, "pi1  failed       try: `sh` ended with code 1"),
+        (("exit 1", "true"), 1, 1, "pi1  failed       try: `sh` ended with code 1"),
+        (("exit 65", "refuse", "true"), 2, 1, "pi1  failed       there is no room"),
+        (("refuse", "true"), 1, 1, "pi1  failed       there is no room"),
+    ],
+)
+def test_where_one_way_is_unusable_the_next_one_is_tried(
+    home: Home, screen: Screen, scripts: tuple[str, ...], tried: int, code: int, says: str
+) -> None:
+    """Only then, one after the other, and what is told is what became of the last."""
+    tries: list[str] = []
+    assert execute([home.robot], *climbing(tries, *scripts), dry=False, json=False, screen=screen) == code
+    assert tries == list(scripts[:tried])
+    out, err = text(screen)
+    assert out.startswith(says)
+    assert err.count("; trying another way") == tried - 1
+
+
+def test_each_way_is_planned_for_the_robot_as_it_is_then(home: Home, screen: Screen) -> None:
+    """What the first way has changed there, the second one sees."""
+    seen: list[tuple[str, ...]] = []
+
+    def make(robot: Robot, facts: Facts) -> Plan:
+        seen.append(facts.releases)
+        step = Step(title="", argv=("sh", "-c", "mkdir -p .fleet/releases/abc; exit 65"), harmless=True)
+        return Plan(robot=robot.name, summary="", steps=(step,))
+
+    execute([home.robot], make, make, dry=False, json=False, screen=screen)
+    assert seen == [(), ("abc",)]
+
+
+def test_each_robot_goes_its_own_way(home: Home, sshds: Sshds, screen: Screen) -> None:
+    """Where one needs the second way, the other has the first."""
+    other = start(sshds, "pi2")
+    (other.path / "works").touch()
+    ways = climbing([], "test -e works || exit 65", "true")
+    assert execute([home.robot, other.robot], *ways, dry=False, json=False, screen=screen) == 0
+    first, second = text(screen)[0].splitlines()
+    assert first.startswith("pi1  done         by true")
+    assert second.startswith("pi2  done         by test -e works")
+
+
+def test_a_dry_run_shows_the_first_way(home: Home, screen: Screen) -> None:
+    """Nothing is sent, so nothing can be unusable."""
+    tries: list[str] = []
+    assert (
+        execute([home.robot], *climbing(tries, "exit 65", "true"), dry=True, json=False, screen=screen) == 0
+    )
+    assert tries == ["exit 65"]
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_planners_are_told_of_images_where_they_ask(home: Home, screen: Screen, images: bool) -> None:
+    """It takes longer, and most verbs do without."""
+    memory: list[int] = []
+
+    def make(robot: Robot, facts: Facts) -> Plan:
+        memory.append(facts.stock.memory)
+        return Plan(robot=robot.name, summary="")
+
+    execute([home.robot], make, dry=False, json=False, screen=screen, images=images)
+    assert bool(memory[0]) == images
 
 
 def test_what_many_robots_have_now(home: Home, away: Robot) -> None:
