@@ -203,6 +203,14 @@ def test_a_receipt_says_what_the_image_will_be_called_and_where_its_manifest_lie
         ]
 
 
+@pytest.mark.parametrize("size", [511, 512, 513])
+def test_members_fill_whole_blocks(size: int) -> None:
+    """One that is a whole block already is followed by the next header at once."""
+    text = b'{"rootfs":{"diff_ids":[]}}'
+    made = frame([Wanted(name="a:b", fingerprint="f" * 12, config=text.ljust(size))], blobs={}, sent=[])
+    assert made.data[BLOCK + (size + BLOCK - 1) // BLOCK * BLOCK :].startswith(b"blobs/sha256/")
+
+
 def test_the_same_images_make_the_same_bytes() -> None:
     """Whoever goes on with a transfer that was cut has the same frame."""
     assert framed(ONE, TWO, sent=[BASE, CODE]) == framed(ONE, TWO, sent=[BASE, CODE])
