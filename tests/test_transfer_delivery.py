@@ -17,7 +17,7 @@ from fleet.transfer.receive import Shipment
 from fleet.transfer.stock import Stock
 
 if TYPE_CHECKING:
-    from fleet.facts import Facts
+    from fleet.facts import Facts, Sudo
     from fleet.transfer.delivery import Way
 
 BASE, CODE = layer(1), layer(2)
@@ -256,3 +256,37 @@ def test_a_layer_under_two_diff_ids_is_one_piece() -> None:
         shipment=SHIPMENT,
     )
     assert len(parcel(made).pieces) == 2
+
+
+@pytest.mark.parametrize(
+    ("zstd", "python", "sudo", "may"),
+    [
+        (True, True, "root", True),
+        (True, True, "free", True),
+        (True, True, "password", False),
+        (True, True, "none", False),
+        (False, True, "root", False),
+        (True, False, "root", False),
+    ],
+)
+def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sudo, may: bool) -> None:
+    """It takes both programs, and root without being asked."""
+    assert delivery.may_make(replace(robot(stock=Stock(zstd=zstd, python=python)), sudo=sudo)) == may
+
+
+@pytest.mark.parametrize(
+    ("size", "patch", "rate", "saved"),
+    [
+        (5_100_000, 0, 1e6, True),
+        (4_900_000, 0, 1e6, False),
+        (6_000_000, 1_100_000, 1e6, False),
+        (6_000_000, 900_000, 1e6, True),
+        (5_100_000, 0, 2e6, False),
+        (12_600_000, 0, None, True),
+        (12_400_000, 0, None, False),
+    ],
+)
+def test_when_a_patch_is_quicker(size: int, patch: int, rate: float | None, saved: bool) -> None:
+    """Two seconds, and one for each 15 MB that are made, against what need not be sent; an unknown link is a fair Wi-Fi."""
+    blob = replace(BLOBS[LOW], size=size, unpacked=45_000_000)
+    assert delivery.saves(blob, patch=patch, rate=rate) == saved
