@@ -41,10 +41,18 @@ def test_what_is_no_rate_is_refused(said: str) -> None:
     assert caught.value.cure == "write it as 8Mbit (bits) or 1MB (bytes) per second"
 
 
+class Interrupted(float):
+    """A number at whose use other threads have their turn, as they may anywhere."""
+
+    def __rtruediv__(self, other: float) -> float:
+        time.sleep(0.001)
+        return other / float(self)
+
+
 def test_several_share_one_rate() -> None:
     """Together they send as fast as one may, and each has its turn."""
     rate, each, threads = 1_000_000, 5000, 4
-    pace, counts = Pace(rate), [0] * threads
+    pace, counts = Pace(Interrupted(rate)), [0] * threads
     until = time.monotonic() + 0.5
 
     def send(number: int) -> None:
