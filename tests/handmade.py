@@ -174,6 +174,8 @@ class Engine:
         return sorted(self.says("image", "ls", "--format", "{{.Tag}}", name or self.name).split())
 
     def clear(self) -> None:
+        if left := self.says("ps", "-aq", "--filter", f"label={self.incoming}").split():
+            self.says("rm", "--volumes", *left)
         for name in (self.name, self.incoming):
             if names := [f"{name}:{tag}" for tag in self.tags(name)]:
                 self.says("image", "rm", "--force", *names)
