@@ -80,7 +80,7 @@ def apply(
     for step in plan.afterwards:
         watch.began(plan.robot, step.title, None)
         _ask(step, line)
-    return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes)
+    return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, way=plan.way)
 
 
 class _Work:

@@ -101,3 +101,10 @@ def repair(*, facts: Facts, bounds: Bounds) -> Step:
     """The step that lets dpkg finish what a power cut stopped."""
     argv = ("dpkg", "--configure", "-a")
     return patiently("finish what dpkg was stopped in", argv, facts=facts, bounds=bounds)
+
+
+def zstd(*, facts: Facts, bounds: Bounds) -> tuple[Step, ...]:
+    """The step that installs what patches of layers are undone with, where that may be: Docker runs without it."""
+    if "zstd" in facts.packages or facts.sudo not in ("root", "free"):
+        return ()
+    return (patiently("install zstd", (*INSTALL, "zstd"), facts=facts, bounds=bounds),)

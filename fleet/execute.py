@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import socket
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -65,12 +66,16 @@ def _climb(
     """Attempt one planner's way, and the next one's where a robot could not use what came."""
     first, *others = ladder
     outcome = attempt(line, first)
+    sent, why = outcome.sent, ""
     for make in others:
         if not outcome.unusable:
             break
-        watch.told(line.robot.name, f"{outcome.reason}; trying another way")
+        why = outcome.reason.partition("\n")[0]
+        watch.told(line.robot.name, f"{why}; trying another way")
         outcome = attempt(line, make)
-    return outcome
+        sent += outcome.sent
+    because = f"{outcome.way}, because {why}" if why else outcome.way
+    return replace(outcome, sent=sent, way=because)
 
 
 def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool, screen: Screen) -> int:

@@ -48,7 +48,7 @@ section emulates; grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
 section boot; systemctl is-enabled docker 2>/dev/null
 section daemon; cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
 section packages; dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
-  docker-compose docker-compose-v2 2>/dev/null | sed -n 's/^ii *//p'
+  docker-compose docker-compose-v2 zstd 2>/dev/null | sed -n 's/^ii *//p'
 section interrupted; ls /var/lib/dpkg/updates 2>/dev/null
   grep -E '^Status: .* (half-configured|half-installed|unpacked)$' /var/lib/dpkg/status 2>/dev/null
 section source; ls /etc/apt/sources.list.d/docker.list 2>/dev/null

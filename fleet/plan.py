@@ -122,7 +122,7 @@ class Plan:
     to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. ``afterwards`` runs
     when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot as it is, and
     ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``forecast`` is what is expected of
-    it: bytes, time, disk.
+    it: bytes, time, disk; ``way`` how images are sent, where any are.
     """
 
     robot: str
@@ -133,6 +133,7 @@ class Plan:
     afterwards: tuple[Step, ...] = ()
     record: Record | None = None
     forecast: str = ""
+    way: str = ""
 
     @property
     def size(self) -> int:
@@ -144,7 +145,7 @@ class Plan:
 class Outcome:
     """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
 
-    ``way`` is how images were sent, where that is not the usual one. ``unusable``: what was sent arrived, and the robot's
+    ``way`` is how images were sent, and why so where another way had failed. ``unusable``: what was sent arrived, and the robot's
     Docker cannot use it; another way of sending may help.
     """
 
@@ -176,6 +177,7 @@ def told(outcome: Outcome) -> str:
     if outcome.good:
         took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
         sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
+        sent += f" ({outcome.way})" if outcome.way else ""
         return f"{outcome.summary}{sent}{took}"
     first = outcome.reason.splitlines()[0] if outcome.reason else ""
     return f"{outcome.step}: {first}" if outcome.step else first

@@ -80,13 +80,9 @@ def plan(
     install = _installation(robot, facts, script=script, bounds=bounds)
     if install:
         _room(facts)
-    steps = (
-        *_clock(facts, now=now),
-        *rotation,
-        *install,
-        *_login(facts),
-        *_boot(facts),
-    )
+    changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts))
+    zstd = apt.zstd(facts=facts, bounds=bounds)
+    steps = changes or zstd
     if not steps:
         return Plan(robot=robot.name, summary=f"Docker {facts.docker} with Compose {facts.compose}")
     rights.check(facts)
@@ -96,6 +92,7 @@ def plan(
         steps=(*steps, *_proof(robot)),
         explain=(_why(facts),),
         recover=(_forget(facts),) if needs_script(facts) else (),
+        afterwards=zstd if changes else (),
         record=Record(verb="provision", release="", by=by),
     )
 

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 KEEP = 3
 """Releases that stay on a robot."""
 
+LEAST = 2
+"""The current release, and the one to go back to."""
+
 _OURS = re.compile(r".+:fleet-[0-9a-f]{12}")
 
 
@@ -27,7 +30,7 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
     """The steps that leave a robot with its ``keep`` newest releases."""
     steps = after(facts, keep=keep)
     if not steps:
-        return Plan(robot=robot.name, summary=f"nothing is older than its newest {keep} releases")
+        return Plan(robot=robot.name, summary=f"nothing is older than its newest {max(keep, LEAST)} releases")
     return Plan(
         robot=robot.name,
         summary=" and ".join(step.title for step in steps),
@@ -39,7 +42,7 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
 def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:
     """The steps that remove what is old; ``shipped`` is a release that has become current since, with its ``images``."""
     ranked = list(dict.fromkeys(filter(None, (shipped, facts.current, *_newest_first(facts)))))
-    stay = ranked[: max(keep, 2)]
+    stay = ranked[: max(keep, LEAST)]
     gone = sorted(set(facts.releases) - set(stay))
     pins = {**facts.stock.pins, **({shipped: tuple(images)} if shipped else {})}
     old: list[str] = []

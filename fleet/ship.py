@@ -62,6 +62,7 @@ def plan(
         afterwards=prune.after(facts, keep=keep, shipped=release.id, images=images),
         record=Record(verb="ship", release=release.id, by=by),
         forecast=delivery.forecast,
+        way=delivery.way,
     )
 
 

@@ -2,11 +2,15 @@ from __future__ import annotations
 
 import subprocess
 import time
+from typing import TYPE_CHECKING
 
 import pytest
 
 from fleet import apt
 from fleet.facts import Facts
+
+if TYPE_CHECKING:
+    from fleet.facts import Sudo
 
 ROOT = Facts(sudo="root")
 
@@ -74,3 +78,19 @@ def test_a_lock_that_stays_is_the_end() -> None:
 def test_another_failure_is_not_tried_again() -> None:
     """It would only fail again."""
     assert run("sh", "-c", "echo no; exit 3").stdout == "no\n"
+
+
+@pytest.mark.parametrize(
+    ("packages", "sudo", "installs"),
+    [
+        ((), "free", True),
+        ((), "root", True),
+        (("zstd",), "free", False),
+        ((), "password", False),
+        ((), "none", False),
+    ],
+)
+def test_zstd_is_installed_where_that_may_be(packages: tuple[str, ...], sudo: Sudo, installs: bool) -> None:
+    """A robot whose login may not is not refused for it: layers then travel whole."""
+    steps = apt.zstd(facts=Facts(packages=packages, sudo=sudo), bounds=apt.Bounds())
+    assert [step.argv[-1] for step in steps] == ["zstd"] * installs

@@ -78,6 +78,7 @@ def test_the_first_ship() -> None:
         recover=(layout.stop(PI, NEW.id),),
         record=Record(verb="ship", release=NEW.id, by="tim@desktop"),
         forecast="sends 241 MB, whole images",
+        way="whole images",
     )
 
 

@@ -228,7 +228,7 @@ def test_whole_images_as_a_stream() -> None:
         harmless=True,
         resumes=True,
     )
-    assert made == Delivery(steps=(load, PROVE), forecast="sends 102 kB, whole images")
+    assert made == Delivery(steps=(load, PROVE), forecast="sends 102 kB, whole images", way="whole images")
 
 
 def test_room_for_whole_images() -> None:

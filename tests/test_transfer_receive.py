@@ -516,3 +516,11 @@ def test_the_step_shows_what_is_received_and_goes_on_after_a_cut(pi: Pi) -> None
         *(f"layer {blob.hex} {blob.size} cat" for blob in sent.layers),
         f"image {named} {receipt.ids[0]} {receipt.ids[1]} {receipt.offset} {receipt.length}",
     )
+
+
+def test_what_is_there_is_not_asked_for_again(pi: Pi) -> None:
+    """The link was lost after the load, before the robot could say so; or somebody else has shipped the same."""
+    sent = load(image(pi))
+    assert pi.ship(sent)[0] == 0
+    code, _, count, said = pi.ship(sent)
+    assert (code, count, needs(said), pi.spooled()) == (0, 0, [], {})

@@ -78,6 +78,7 @@ class Cache:
         with self._turn, _explained():
             if not path.exists():
                 self._unpack(image, set(), None)
+            os.utime(path)
             return path.read_bytes()
 
     def open(self, digest: str) -> IO[bytes]:

@@ -37,6 +37,7 @@ class Courier:
         self._asked: queue.SimpleQueue[tuple[str, int] | None] = queue.SimpleQueue()
         self._rest = b""
         self._began = 0.0
+        self._closed = False
         self.sent = 0
         self.seconds = 0.0
         self.tell: Teller = lambda _: None
@@ -57,9 +58,11 @@ class Courier:
                     pass
 
     def close(self) -> None:
-        """Nobody asks any more."""
+        """Nobody asks any more; may be called twice."""
         self._asked.put(None)
-        self._ended(self._to, self.sent, self.seconds)
+        if not self._closed:
+            self._closed = True
+            self._ended(self._to, self.sent, self.seconds)
 
     def __iter__(self) -> Iterator[bytes]:
         while asked := self._asked.get():

@@ -46,10 +46,11 @@ SLACK = 1.05
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """The steps that bring images, nothing where none is missing, and what they will take, in words."""
+    """The steps that bring images, nothing where none is missing; what they will take, and how they do it, in words."""
 
     steps: tuple[Step, ...] = ()
     forecast: str = ""
+    way: str = ""
 
 
 def lack(images: Sequence[Image], facts: Facts, *, way: Way) -> Lack:
@@ -103,6 +104,7 @@ def pieces(
         forecast="; ".join(
             (f"lacks {label}, {_takes(parcel, shipment.rate)}{making}", _disk(facts.disk_free, after))
         ),
+        way=f"{label}{making}",
     )
 
 
@@ -163,7 +165,9 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
     size = sum(image.size for image in images)
     _refuse(2 * SLACK * size, facts)
     steps = (step for image in images for step in (_load(image), _prove(image)))
-    return Delivery(steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images")
+    return Delivery(
+        steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images", way="whole images"
+    )
 
 
 def _room(sent: Sequence[Blob], parcel: Parcel, facts: Facts) -> float:

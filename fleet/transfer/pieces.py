@@ -62,8 +62,7 @@ def lacking(
 ) -> Lack:
     """What must be sent so that a robot has all of ``images`` (each its diff IDs, lowest first).
 
-    A classic store looks a layer up by its chain: only a prefix of an image that is there may be left out, the images
-    that come earlier in the same archive included. A containerd store looks up blobs by digest, wherever they came from;
+    A classic store looks a layer up by its chain: only a prefix of an image that is there may be left out. A containerd store looks up blobs by digest, wherever they came from;
     a layer whose blob is not known is sent, because the store believes any digest and then holds a broken image.
     """
     everything = dict.fromkeys(diff_id for image in images for diff_id in image)
@@ -75,11 +74,10 @@ def lacking(
             there={diff_id: known[diff_id] for diff_id in everything if diff_id in known},
             layers=len(everything),
         )
-    have = list(chains)
+    have = tuple(chains)
     send = []
     for image in images:
         send += image[max((common(image, chain) for chain in have), default=0) :]
-        have.append(image)
     return Lack(send=tuple(dict.fromkeys(send)), there={}, layers=len(everything))
 
 

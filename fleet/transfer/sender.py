@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import secrets
 from typing import TYPE_CHECKING, Self
 
@@ -143,7 +144,9 @@ class Rates:
             with contextlib.suppress(OSError):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 rates = {**self._read(), address: round(count / seconds)}
-                self._path.write_text(json.dumps(rates), encoding="utf-8")
+                part = self._path.with_suffix(f".{os.getpid()}")
+                part.write_text(json.dumps(rates), encoding="utf-8")
+                part.replace(self._path)
 
     def _read(self) -> dict[str, float]:
         try:

@@ -151,12 +151,12 @@ def test_an_image_that_goes_before_its_layers_come(fleet: Project) -> None:
     """What was to be left out is no longer there: Docker says so, the robot is looked at again, and gets what it lacks."""
     change(fleet, "code", 300)
     pi = next(pi for pi in fleet.lab.pis if pi.name == "e28")
-    held = ("docker", "exec", pi.container, "flock", "/home/pi/.fleet/spool/lock", "sleep", "60")
+    held = ("docker", "exec", pi.container, "flock", "/home/pi/.fleet/spool/lock", "sleep", "61")
     with fleet.start("ship", "--hosts", "e28", "--json") as fab, subprocess.Popen(held) as other:
         fab.await_text("wait for somebody")
         gone = f"docker ps -aq | xargs docker rm -f; docker image ls -q {NAME} | xargs docker image rm -f"
         pi.exec("sh", "-c", gone)
-        pi.exec("pkill", "-x", "sleep")
+        pi.exec("pkill", "-f", "sleep 61")
         other.wait(10)
         said = fab.end(within=100)
     assert said.status == {"e28": "done"}, said.all
