@@ -9,7 +9,7 @@ JOBS := 2
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench bench-transfer lock clean desktop testbed env
+.PHONY: help demo undemo test test-unit test-lab lint format bench bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -69,6 +69,9 @@ bench: testbed env ## measure what must be fast, and write docs/benchmarks.md (u
 
 bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the usual ways, as root (under 40 minutes)
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench transfer $(BENCH)
+
+picture: env ## draw the README's picture of what a fleet that runs prints
+	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python docs/picture.py
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \
