@@ -71,7 +71,7 @@ bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the u
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench transfer $(BENCH)
 
 picture: env ## draw the README's picture of what a fleet that runs prints
-	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python docs/picture.py
+	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" PYTHONPATH=tests $(VENV)/bin/python -m bench.picture
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \

@@ -9,7 +9,7 @@ import re
 from typing import TYPE_CHECKING
 
 from fleet import layout
-from fleet.plan import Plan, Record, Step
+from fleet.plan import Plan, Record, Step, human_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,8 +35,15 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
         robot=robot.name,
         summary=" and ".join(step.title for step in steps),
         steps=steps,
+        forecast=_frees(steps, facts),
         record=Record(verb="prune", release=facts.current, by=by),
     )
+
+
+def _frees(steps: Iterable[Step], facts: Facts) -> str:
+    """Docker tells no more without measuring the disk, which takes minutes on a card."""
+    size = sum(facts.stock.sizes.get(name, 0) for step in steps for name in step.argv)
+    return f"frees {human_bytes(size)} at most: layers that other images share stay" if size else ""
 
 
 def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:

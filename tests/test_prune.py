@@ -192,3 +192,11 @@ def test_never_what_runs_nor_the_way_back(
     assert not set(old) & (there - set(gone) & set(pins))
     if (there - set(gone) - {shipped, ""}) - set(pins):
         assert old == ""
+
+
+def test_what_it_frees_is_said() -> None:
+    """As Docker says it, which counts layers that others share: at most."""
+    seen = robot("abcd")
+    stock = replace(seen.stock, sizes={tag("a"): 241_000_000, tag("d"): 1})
+    plan = prune.plan(robot=PI, facts=replace(seen, stock=stock), keep=3, by="tim@desktop")
+    assert plan.forecast == "frees 241 MB at most: layers that other images share stay"

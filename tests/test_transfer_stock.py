@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SHELLS = [shell for shell in ("dash", "bash", "busybox") if shutil.which(shell)]
-SECTIONS = ("layers", "receipts", "spool", "pins", "tools", "memory")
+SECTIONS = ("layers", "sizes", "receipts", "spool", "pins", "tools", "memory")
 ONE, OTHER = "1" * 64, "2" * 64
 GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
 
@@ -285,3 +285,20 @@ def test_the_probe_of_a_robot_that_was_never_shipped_to(shell: str, home: Path) 
     assert (seen.manifests, seen.spool, seen.pins) == ((), {}, {})
     assert seen.memory > 0
     assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("said", "size"),
+    [
+        ("t:fleet-1 241MB", 241_000_000),
+        ("t:fleet-1 2.33kB", 2330),
+        ("t:fleet-1 1.1GB", 1_100_000_000),
+        ("t:fleet-1 12B", 12),
+        ("t:fleet-1 N/A", None),
+        ("t:fleet-1 1.2.3MB", 0),
+        ("garbage", None),
+    ],
+)
+def test_the_size_of_an_image(said: str, size: int | None) -> None:
+    """In the units in which `docker image ls` says it."""
+    assert parse({"sizes": said}).sizes.get("t:fleet-1") == size

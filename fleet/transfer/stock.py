@@ -22,6 +22,7 @@ if command -v docker >/dev/null; then
   section layers; docker image ls -aq --no-trunc 2>/dev/null | sort -u |
     xargs -r docker image inspect --format '{{.Id}} {{json .RootFS.Layers}}' 2>/dev/null
 fi
+section sizes; docker image ls --format '{{.Repository}}:{{.Tag}} {{.Size}}' 2>/dev/null | grep ':fleet-'
 section receipts; for file in "$HOME"/.fleet/receipts/*; do
   [ -f "$file" ] && printf '%s ' "$(sha256sum < "$file" | cut -c1-64)" && tr -d '\n' < "$file" && echo; done
 section spool; cd "$HOME/.fleet/spool" 2>/dev/null && stat -c '%n %s' * 2>/dev/null; cd
@@ -38,13 +39,14 @@ class Stock:
 
     ``chains`` are the layers (diff IDs) of each image, lowest first. ``manifests`` holds the receipts of images that are
     there, each as its layers' blobs. ``spool`` maps digests to the bytes of them that have arrived. ``pins`` maps each
-    release to the images it runs.
+    release to the images it runs. ``sizes`` are those of fleet's images by name, layers that others share included.
     """
 
     chains: tuple[tuple[str, ...], ...] = ()
     manifests: tuple[tuple[Blob, ...], ...] = ()
     spool: Mapping[str, int] = field(default_factory=dict)
     pins: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sizes: Mapping[str, int] = field(default_factory=dict)
     zstd: bool = False
     python: bool = False
     memory: int = 0
@@ -67,6 +69,7 @@ def parse(said: Mapping[str, str]) -> Stock:
         manifests=tuple(filter(None, manifests)),
         spool=_spool(said.get("spool", "")),
         pins=_pins(said.get("pins", "")),
+        sizes=_sizes(said.get("sizes", "")),
         zstd="zstd" in tools,
         python="python3" in tools,
         memory=int(memory) * 1024 if re.fullmatch("[0-9]{1,15}", memory) else 0,
@@ -103,6 +106,20 @@ def _blobs(manifest: str, diff_ids: tuple[str, ...]) -> tuple[Blob, ...]:
 def _spool(said: str) -> dict[str, int]:
     found = (re.fullmatch(r"([0-9a-f]{64}) ([0-9]{1,15})", line) for line in said.splitlines())
     return {match[1]: int(match[2]) for match in found if match}
+
+
+def _sizes(said: str) -> dict[str, int]:
+    """``talker:fleet-3f2a9c1b5d0e 241MB``: Docker says sizes in decimal units."""
+    found = (re.fullmatch(r"(\S+) ([0-9.]{1,9})([kMG]?)B", line) for line in said.splitlines())
+    units = {"": 1, "k": 1e3, "M": 1e6, "G": 1e9}
+    return {match[1]: round(_number(match[2]) * units[match[3]]) for match in found if match}
+
+
+def _number(said: str) -> float:
+    try:
+        return float(said)
+    except ValueError:
+        return 0.0
 
 
 def _pins(said: str) -> dict[str, tuple[str, ...]]:

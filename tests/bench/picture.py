@@ -6,10 +6,11 @@ import io
 import os
 import pty
 import sys
-from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
+
+from bench.pairs import ROOT
 
 VERBS = (
     ("fab", "ship", "--hosts", "fleet"),
@@ -38,12 +39,12 @@ def shown(argv: tuple[str, ...]) -> str:
 
 
 def main() -> None:
-    """Run the verbs and write the picture beside this file."""
+    """Run the verbs and write the picture."""
     console = Console(record=True, width=COLUMNS, file=io.StringIO())
     for argv in VERBS:
         console.print(Text.assemble(("$ ", "bold green"), (" ".join(argv), "bold")))
         console.print(Text.from_ansi(shown(argv)))
-    console.save_svg(str(Path(__file__).with_name("demo.svg")), title="three robots")
+    console.save_svg(str(ROOT / "docs" / "demo.svg"), title="three robots")
 
 
 if __name__ == "__main__":
