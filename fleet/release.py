@@ -65,7 +65,7 @@ class Release:
 
     @property
     def checksum(self) -> str:
-        """What `fleet.facts.PROBE` says of the directory of this release while all of its files are right."""
+        """What `fleet.facts.probe` says of the directory of this release while all of its files are right."""
         digests = {f"./{name}": hashlib.sha256(data).hexdigest() for name, data in self.files.items()}
         listing = "".join(f"{digests[name]}  {name}\n" for name in sorted(digests, key=str.encode))
         return hashlib.sha256(listing.encode()).hexdigest()

@@ -26,8 +26,14 @@ Encoding = Literal["zstd-long", "zstd", "gzip"]
 
 ENCODINGS: tuple[Encoding, ...] = ("zstd-long", "zstd", "gzip")
 
-LEVEL = 3
-"""Of zstd: what two cores pack about as fast as a good Wi-Fi carries it."""
+LEVEL = 6
+"""Of zstd, for layers, whatever the link: a layer that one desktop has packed has the same digest on another one.
+
+Against 3 it is 5 % less to send, for three seconds more for 700 MB; 9 saves 10 %, for six seconds and 260 MB of memory.
+"""
+
+PATCH_LEVEL = 3
+"""Of zstd, for patches, which are nearly as small then, and made while somebody waits."""
 
 SHORTEST_REFERENCE = 8
 """Bytes; zstd takes nothing shorter for a dictionary."""
@@ -140,7 +146,7 @@ class _Inflater:
         return b"".join(plain)
 
 
-def packed_against(reference: bytes, data: bytes, *, level: int = LEVEL) -> bytes:
+def packed_against(reference: bytes, data: bytes, *, level: int = PATCH_LEVEL) -> bytes:
     """Pack ``data`` into a frame that says only what ``reference`` does not: ``zstd -d -D REFERENCE`` undoes it.
 
     The frame carries a checksum, so that another reference is noticed. Who unpacks it needs memory for both.

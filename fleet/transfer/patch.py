@@ -46,7 +46,7 @@ class _Pair:
     old_end: int
 
 
-def make(old: IO[bytes], new: IO[bytes], out: IO[bytes], *, level: int = codec.LEVEL) -> int:
+def make(old: IO[bytes], new: IO[bytes], out: IO[bytes], *, level: int = codec.PATCH_LEVEL) -> int:
     """Write the patch that makes ``new`` of ``old``, both seekable; return its size in bytes.
 
     Whatever the two contain, the patch is right; how small it is depends on how much of them is tar and alike.

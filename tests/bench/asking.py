@@ -15,7 +15,7 @@ from sshd import Sshds
 
 from bench import barepool
 from bench.pairs import Cost, compare, spend
-from fleet.facts import MARK, PROBE
+from fleet.facts import MARK, probe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -93,7 +93,7 @@ def _inventory(many: tuple[Sshd, ...], folder: Path) -> Path:
 
 
 def _ports(many: tuple[Sshd, ...], folder: Path) -> Path:
-    command = shlex.join(("timeout", "-k", "5", "30", "sh", "-c", PROBE))
+    command = shlex.join(("timeout", "-k", "5", "30", "sh", "-c", probe()))
     ports = [one.port for one in many]
     asked = {"command": command, "user": getpass.getuser(), "key": str(many[0].identity), "ports": ports}
     path = folder / "ports.json"
