@@ -42,7 +42,11 @@ section login; id -un; id -Gn
 section sudo; if [ "$(id -u)" = 0 ]; then echo root; elif ! command -v sudo >/dev/null; then echo none
   elif sudo -n true 2>/dev/null; then echo free; else echo password; fi
 section clock; date +%s
-section disk; df -Pk /var/lib/docker 2>/dev/null || df -Pk /var/lib
+info=; ! command -v docker >/dev/null || info=$(docker info --format \
+  '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null)
+root=${info%% *}; case $info in *io.containerd.snapshotter*) root=/var/lib/containerd; esac
+section disk; df -Pk "${root:-/var/lib/docker}" 2>/dev/null || df -Pk /var/lib
+section store; printf '%s\n' "$info"
 section temperature; cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
 section emulates; grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
 section boot; systemctl is-enabled docker 2>/dev/null
@@ -61,7 +65,6 @@ section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
 if command -v docker >/dev/null; then
   section docker; docker version --format '{{.Server.Version}}' 2>&1
   section client; docker --version 2>/dev/null
-  section store; docker info --format '{{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null
   section compose; docker compose version --short 2>/dev/null
   section containers; docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
   section images
@@ -102,8 +105,8 @@ class Facts:
     ``docker`` is the engine's version where this login may ask it, ``client`` that of the ``docker`` command. ``packages``
     are the installed ones that provisioning must know of. ``interrupted``: dpkg was stopped in the middle of its work.
     ``docker_source``: apt has the package source that Docker's script writes. ``images`` maps the name of each image that
-    fleet sent to its identity lines (see `IDENTITY`). ``store`` is the image store's driver, ``containerd`` whether it is
-    containerd's. ``stock`` is empty unless it was asked for.
+    fleet sent to its identity lines (see `IDENTITY`). ``data_root`` is where Docker keeps what it has, which on
+    Jetsons is often another disk. ``store`` is the image store's driver, ``containerd`` whether it is containerd's. ``stock`` is empty unless it was asked for.
     """
 
     machine: str = ""
@@ -130,6 +133,7 @@ class Facts:
     engine: Engine = "absent"
     docker: str = ""
     client: str = ""
+    data_root: str = "/var/lib/docker"
     store: str = ""
     containerd: bool = False
     compose: str = ""
@@ -165,6 +169,7 @@ def parse(text: str) -> Facts:
     said = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
     login, *groups = said.get("login", "").splitlines() or [""]
     engine, version = _engine(said.get("docker"))
+    store = _store(said.get("store", ""))
     size, free = _disk(said.get("disk", ""))
     temperature = _number(said.get("temperature", ""))
     return Facts(
@@ -192,8 +197,9 @@ def parse(text: str) -> Facts:
         engine=engine,
         docker=version,
         client=_client(said.get("client", "")),
-        store=said.get("store", "").partition(" ")[0],
-        containerd="io.containerd.snapshotter.v1" in said.get("store", ""),
+        data_root=store[0],
+        store=store[1],
+        containerd="io.containerd.snapshotter.v1" in store[2],
         compose=_compose(said.get("compose", "")),
         containers=_containers(said.get("containers", "")),
         images=_images(said.get("images", "")),
@@ -209,6 +215,12 @@ def _engine(said: str | None) -> tuple[Engine, str]:
     if last[:1].isdigit():  # warnings come before it, also of a forbidden ~/.docker/config.json
         return "ready", last
     return ("forbidden" if "permission denied" in said.lower() else "stopped"), ""
+
+
+def _store(said: str) -> tuple[str, str, str]:
+    """Data root, driver, and what the driver tells of itself; the usual root where Docker does not answer."""
+    root, driver, status = (*said.split(" ", 2), "", "", "")[:3]
+    return (root, driver, status) if root.startswith("/") else (Facts.data_root, "", "")
 
 
 def _client(said: str) -> str:

@@ -201,7 +201,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         history="one\ttwo",
         docker="28.0.4",
         client="Docker version 28.0.4, build b8034c0",
-        store="overlay2",
+        store="/var/lib/docker overlay2 extfs true",
         compose="2.34.0",
         images="image talker:fleet-1\nlinux/arm64\nlayer sha256:aa\nuser \ndirectory \nimage b:fleet-2\nlinux/arm64\ndirectory",
     )
@@ -337,3 +337,19 @@ def test_the_identity_of_images_is_asked_for_as_docker_takes_it() -> None:
     """It goes through ``sh`` in single quotes, so it may have none of its own."""
     assert "'" not in facts.IDENTITY
     assert facts.IDENTITY in probe()
+
+
+@pytest.mark.parametrize(
+    ("said", "root", "store", "containerd"),
+    [
+        ("/var/lib/docker overlay2 extfs true", "/var/lib/docker", "overlay2", False),
+        ("/ssd/docker overlay2", "/ssd/docker", "overlay2", False),
+        ("/var/lib/docker overlayfs io.containerd.snapshotter.v1", "/var/lib/docker", "overlayfs", True),
+        ("", "/var/lib/docker", "", False),
+        (" overlay2 x", "/var/lib/docker", "", False),
+    ],
+)
+def test_where_and_how_docker_keeps_images(said: str, root: str, store: str, containerd: bool) -> None:
+    """On Jetsons the data are often on another disk; which store it is decides what may be left out."""
+    seen = parse(f"\n{MARK} store\n{said}\n{MARK} end\n")
+    assert (seen.data_root, seen.store, seen.containerd) == (root, store, containerd)

@@ -54,15 +54,16 @@ def sources(
     chains: Iterable[tuple[str, ...]],
     manifests: Iterable[Sequence[Blob]],
     containerd: bool,
+    root: str = DATA_ROOT,
 ) -> dict[str, Source]:
     """For each layer that is lacking the one it may be made of: itself in another place, or else its predecessor.
 
     That is the layer in the same place of the image there that has most layers below it in common.
     """
     there = (
-        [tuple((blob.diff_id, from_blob(blob.digest)) for blob in blobs) for blobs in manifests]
+        [tuple((blob.diff_id, from_blob(blob.digest, root=root)) for blob in blobs) for blobs in manifests]
         if containerd
-        else [_places(chain) for chain in chains]
+        else [_places(chain, root) for chain in chains]
     )
     same = {diff_id: where for places in there for diff_id, where in places}
     found: dict[str, Source] = {}
@@ -76,8 +77,10 @@ def sources(
     return {wanted: found[wanted] for wanted in lacking if wanted in found}
 
 
-def _places(chain: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    return tuple((diff_id, from_chain(chain_id(chain[: at + 1]))) for at, diff_id in enumerate(chain))
+def _places(chain: tuple[str, ...], root: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple(
+        (diff_id, from_chain(chain_id(chain[: at + 1]), root=root)) for at, diff_id in enumerate(chain)
+    )
 
 
 def program() -> bytes:

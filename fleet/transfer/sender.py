@@ -108,7 +108,12 @@ class Sender:
         stock, made = facts.stock, {}
         layers, known = [image.layers for image in images], (stock.chains, stock.manifests)
         for wanted, source in remaking.sources(
-            layers, packed, chains=known[0], manifests=known[1], containerd=facts.containerd
+            layers,
+            packed,
+            chains=known[0],
+            manifests=known[1],
+            containerd=facts.containerd,
+            root=facts.data_root,
         ).items():
             blob = packed[wanted]
             patch, same = None, source.diff_id == wanted
