@@ -199,7 +199,9 @@ class _Way:
             transport.auth_publickey(stop.user, load(), answered)
         except TypeError:  # how the cryptography library says that it wants a passphrase
             return f"{label} has a passphrase (`ssh-add {label}` unlocks it)"
-        except Exception as problem:  # noqa: BLE001  a key file may hold anything
+        except Exception as problem:  # a key file may hold anything
+            if not transport.is_active():
+                raise _lost(stop) from problem
             return f"{label} cannot be used ({str(problem).partition('. ')[0]})"
         if not answered.wait(self._patience):
             raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN)
@@ -213,10 +215,11 @@ class _Way:
             raise LoginRefused(
                 f"{stop.host} takes {label}, and wants {more} as well", cure="let a key be enough"
             )
+        if isinstance(raised, EOFError | OSError):
+            raise _lost(stop) from raised
         if not transport.is_active():
-            what = f"{stop.host} ends the login of {stop.user} at {label}" + (
-                f" ({raised})" if raised else ""
-            )
+            why = f" ({raised})" if raised else ""
+            what = f"{stop.host} ends the login of {stop.user} at {label}{why}"
             raise LoginRefused(what, cure="if many keys were offered before, set identity_file")
         return f"{label} is refused"
 
@@ -262,6 +265,10 @@ def _same(key: paramiko.PKey) -> paramiko.PKey:
 def _was_dropped(stream: Stream, problem: BaseException) -> bool:
     """Whether the other end hung up before it spoke SSH, and a ProxyCommand gave no reason of its own."""
     return isinstance(problem.__context__, EOFError | OSError) and not getattr(stream, "said", "")
+
+
+def _lost(stop: Destination) -> Unreachable:  # an sshd that refuses says so before it hangs up
+    return Unreachable(f"the connection to {stop.host} was lost during the login", cure=AGAIN)
 
 
 def _takes_no_keys(stop: Destination, problem: paramiko.BadAuthenticationType) -> LoginRefused:

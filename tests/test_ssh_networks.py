@@ -8,11 +8,12 @@ import socket
 import subprocess
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from cutter import Cut, Cutter
 from sshd import free_port, make_key
 
 from fleet import ssh
@@ -111,6 +112,20 @@ def test_an_sshd_that_is_busy_with_logins_is_tried_again(sshds: Sshds) -> None:
         threading.Timer(0.6, others.close).start()
         assert sshds.log_in(server) == "in\n"
     assert "MaxStartups" in server.log.read_text()
+
+
+def test_a_link_that_is_lost_is_never_taken_for_a_refusal(sshds: Sshds, sshd: Sshd) -> None:
+    """Wherever it is cut, in the login or later: such a robot is worth trying again."""
+    with Cutter("127.0.0.1", sshd.port) as link:
+        server = replace(sshd, port=link.port)
+        server.trust()
+        link.todo = [Cut(after=after) for after in range(1300, 4300, 150)]
+        while link.cuts < len(link.todo):
+            with (
+                pytest.raises((Unreachable, LinkLost)),
+                ssh.connect(server.robot(), patience=1, config=sshds.config) as session,
+            ):
+                session.run(("cat",), feed=(bytes(4000),))
 
 
 def open_files() -> int:
