@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from fleet.transfer import codec
+from fleet.transfer.archive import INCOMING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -118,6 +124,46 @@ def processes(pi: Pi, pattern: str) -> list[str]:
     return subprocess.run(argv, capture_output=True, text=True, check=False).stdout.splitlines()
 
 
+def spool(pi: Pi) -> str:
+    """What lies in the spool, but for its lock."""
+    return pi.exec("sh", "-c", "ls ~pi/.fleet/spool | grep -v lock || true")
+
+
+def spooled(pi: Pi) -> int:
+    """Bytes that have arrived of what is not loaded yet."""
+    script = "cat ~pi/.fleet/spool/[0-9a-f]* 2>/dev/null | wc -c"
+    return int(pi.exec("sh", "-c", script))
+
+
+def tags(pi: Pi) -> list[str]:
+    """Every name by which a release may know an image, and every one that says it is still on its way."""
+    names = pi.exec("docker", "image", "ls", "--format", "{{.Repository}}:{{.Tag}}").splitlines()
+    return [name for name in names if ":fleet-" in name or INCOMING in name]
+
+
+def prove(pi: Pi, image: str = "") -> None:
+    """Every layer of an image is bit for bit what its configuration says, as Docker itself gives it back.
+
+    Of the one that runs where none is named.
+    """
+    image = image or pi.exec("docker", "inspect", "--format", "{{.Config.Image}}", running(pi)["tick"][0])
+    saved = subprocess.run(
+        ("docker", "exec", pi.container, "docker", "save", image), capture_output=True, check=True
+    )
+    with tarfile.open(fileobj=io.BytesIO(saved.stdout)) as archive:
+        files = {member.name: member for member in archive if member.isfile()}
+
+        def read(name: str) -> bytes:
+            content = archive.extractfile(files[name])
+            assert content
+            return content.read()
+
+        (manifest,) = json.loads(read("manifest.json"))
+        layers = [read(name) for name in manifest["Layers"]]
+        digests = [f"sha256:{hashlib.sha256(codec.inflater(data)(data)).hexdigest()}" for data in layers]
+        assert digests == json.loads(read(manifest["Config"]))["rootfs"]["diff_ids"], (pi.name, image)
+
+
 def environment(pi: Pi, service: str = "tick") -> dict[str, str]:
     """What the container of a service really has, as its own process has it."""
     inner = ("docker", "exec", running(pi)[service][0], "cat", "/proc/1/environ")
@@ -185,14 +231,15 @@ class Running:
             for line in pipe:
                 self._texts[name] += line
 
+    def wrote(self, text: str) -> bool:
+        """Whether `fab` has written this, wherever."""
+        return any(text in said for said in self._texts.values())
+
     def await_text(self, text: str, *, within: float = 60.0) -> None:
         """Wait until `fab` has written this, wherever."""
 
-        def written() -> bool:
-            return any(text in said for said in self._texts.values())
-
-        eventually(lambda: written() or self._process.poll() is not None, within=within)
-        assert written(), f"no {text!r} in {self._texts}"
+        eventually(lambda: self.wrote(text) or self._process.poll() is not None, within=within)
+        assert self.wrote(text), f"no {text!r} in {self._texts}"
 
     def ctrl_c(self) -> None:
         """As Ctrl-C does."""

@@ -4,7 +4,18 @@ import subprocess
 import time
 from typing import TYPE_CHECKING
 
-from labproject import HEAVY, HEAVY_SIZE, current, cut, environment, eventually, processes, running, service
+from labproject import (
+    HEAVY,
+    HEAVY_SIZE,
+    current,
+    cut,
+    environment,
+    eventually,
+    processes,
+    running,
+    service,
+    spooled,
+)
 
 if TYPE_CHECKING:
     from lab.conftest import Pi
@@ -24,12 +35,6 @@ def shipped(project: Project, colour: str = "red") -> list[tuple[str, dict[str, 
     project.colour(colour)
     project.well("ship")
     return [(current(pi), running(pi)) for pi in project.lab.pis]
-
-
-def spooled(pi: Pi) -> int:
-    """Bytes that have arrived of what is not loaded yet."""
-    script = "cat ~pi/.fleet/spool/[0-9a-f]* 2>/dev/null | wc -c"
-    return int(pi.exec("sh", "-c", script))
 
 
 def test_a_link_cut_in_mid_stream(project: Project, pi: Pi) -> None:

@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-import hashlib
-import io
-import json
 import os
 import random
 import subprocess
-import tarfile
 from typing import TYPE_CHECKING
 
 import pytest
@@ -18,17 +14,17 @@ from labproject import (
     current,
     forget,
     on_each,
+    prove,
     running,
     service,
+    spool,
     wipe,
 )
-
-from fleet.transfer import codec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
+    from lab.conftest import Lab
     from labproject import Said
 
 NAME = f"{LAB}-layers"
@@ -69,32 +65,6 @@ def ship(project: Project, *arguments: str) -> Said:
         assert running(pi)["tick"][1] == current(pi)
         prove(pi)
     return said
-
-
-def prove(pi: Pi) -> None:
-    """Every layer of the image that runs is bit for bit what its configuration says, as Docker itself gives it back."""
-    container = running(pi)["tick"][0]
-    image = pi.exec("docker", "inspect", "--format", "{{.Config.Image}}", container)
-    saved = subprocess.run(
-        ("docker", "exec", pi.container, "docker", "save", image), capture_output=True, check=True
-    )
-    with tarfile.open(fileobj=io.BytesIO(saved.stdout)) as archive:
-        files = {member.name: member for member in archive if member.isfile()}
-
-        def read(name: str) -> bytes:
-            content = archive.extractfile(files[name])
-            assert content
-            return content.read()
-
-        (manifest,) = json.loads(read("manifest.json"))
-        layers = [read(name) for name in manifest["Layers"]]
-        digests = [f"sha256:{hashlib.sha256(codec.inflater(data)(data)).hexdigest()}" for data in layers]
-        assert digests == json.loads(read(manifest["Config"]))["rootfs"]["diff_ids"], pi.name
-
-
-def spool(pi: Pi) -> str:
-    """What lies in the spool, but for its lock."""
-    return pi.exec("sh", "-c", "ls ~pi/.fleet/spool | grep -v lock || true")
 
 
 def test_only_what_is_missing_travels(fleet: Project) -> None:
