@@ -112,6 +112,7 @@ class _Transport(paramiko.Transport):
             channel = self.open_session()
             channel.exec_command(command)
         except (paramiko.SSHException, EOFError, OSError) as problem:
+            self.join(0.5)  # who sends may notice a lost link before the thread that listens
             if self.is_active():
                 cure = "is it out of memory or processes? try again, or restart it"
                 raise NotReady(f"the robot's sshd starts no command: {problem}", cure=cure) from problem
