@@ -18,6 +18,7 @@ from fleet.plan import Outcome, human_seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from fleet.facts import Facts
     from fleet.line import Line
     from fleet.plan import Feed, Plan, Step
     from fleet.rollout import Watch
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 PATIENCE = 180.0
 """Seconds to try to get a lost link back, counted from the last byte that left."""
 
-_PAUSES = (1.0, 2.0, 4.0, 8.0, 15.0)
+_PAUSES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 """Seconds between attempts to connect again; the last one for all that follow."""
 
 UNUSABLE = 65
@@ -83,6 +84,45 @@ def apply(
     return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, way=plan.way)
 
 
+def look(line: Line, *, images: bool, watch: Watch, patience: float = PATIENCE) -> Facts:
+    """What a robot has now, asked again where the link is lost meanwhile.
+
+    A robot that cannot be reached in the first place may be switched off: that is told at once.
+    """
+    longer, reached = _Patience(line, seconds=patience, watch=watch), False
+    while True:
+        try:
+            reached = bool(line.session)
+            return line.facts(images=images)
+        except (LinkLost, Unreachable) as problem:
+            if not reached:
+                raise
+            longer.wait(problem)
+
+
+class _Patience:
+    """How long a link that was lost is tried again, and how often."""
+
+    def __init__(self, line: Line, *, seconds: float, watch: Watch) -> None:
+        self._line = line
+        self._seconds = seconds
+        self._watch = watch
+        self.renew()
+
+    def renew(self) -> None:
+        """Count from now."""
+        self._until, self._pauses = time.monotonic() + self._seconds, iter(_PAUSES)
+
+    def wait(self, problem: RobotError) -> None:
+        """Wait before the next attempt, which is on a new connection; raise the problem where there is to be none."""
+        left = self._until - time.monotonic()
+        if left <= 0 or self._line.closed.is_set():
+            raise problem
+        self._watch.told(self._line.robot.name, f"{problem.what}; trying again for {human_seconds(left)}")
+        self._line.afresh()
+        self._line.closed.wait(min(left, next(self._pauses, _PAUSES[-1])))
+
+
 class _Work:
     """One plan being carried out: what all of its steps need, and how many bytes they have sent."""
 
@@ -104,20 +144,17 @@ class _Work:
 
     def persist(self, step: Step) -> None:
         """Run a step; when the link is lost under one that resumes, connect again and go on."""
-        patient_until, pauses = time.monotonic() + self._patience, iter(_PAUSES)
+        patience = _Patience(self._line, seconds=self._patience, watch=self._watch)
         while True:
             before = self.bytes
             try:
                 return self._do(step)
             except (LinkLost, Unreachable) as problem:
-                if self.bytes > before:
-                    patient_until, pauses = time.monotonic() + self._patience, iter(_PAUSES)
-                left = patient_until - time.monotonic()
-                if not step.resumes or left <= 0 or self._line.closed.is_set():
+                if not step.resumes:
                     raise
-                self._watch.told(self._robot, f"{problem.what}; trying again for {human_seconds(left)}")
-                self._line.afresh()
-                self._line.closed.wait(min(left, next(pauses, _PAUSES[-1])))
+                if self.bytes > before:
+                    patience.renew()
+                patience.wait(problem)
 
     def _do(self, step: Step) -> None:
         self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)

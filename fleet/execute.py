@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from fleet.apply import PATIENCE, apply
+from fleet.apply import PATIENCE, apply, look
 from fleet.errors import FleetError, LinkLost
 from fleet.plan import Bytes, Outcome, exit_code
 from fleet.rollout import each
@@ -48,7 +48,8 @@ def execute(
 
         def attempt(line: Line, make: Planner) -> Outcome:
             show.began(line.robot.name, "look at the robot", None)
-            plan = plans[line.robot.name] = make(line.robot, line.facts(images=images))
+            facts = look(line, images=images, watch=show, patience=patience)
+            plan = plans[line.robot.name] = make(line.robot, facts)
             if dry:
                 return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
             return apply(plan, line, open_feed=open_feed or held, watch=show, patience=patience)

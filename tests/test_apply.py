@@ -10,8 +10,8 @@ import pytest
 from homes import Home, Told, start
 
 from fleet import apply as applying
-from fleet.apply import UNUSABLE, apply
-from fleet.errors import DesktopError
+from fleet.apply import UNUSABLE, apply, look
+from fleet.errors import DesktopError, Unreachable
 from fleet.line import Line
 from fleet.plan import Bytes, ImageArchive, Outcome, Plan, Record, Step
 from fleet.rollout import each
@@ -372,6 +372,27 @@ def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
     outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, patience=0.9)
     away.end()
     assert (outcome.status, outcome.sent, away.attempts) == ("done", 4 * 9, 4)
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
+    """Its link was lost while it was asked: it is asked again, which is told."""
+    line, told = Line(home.robot), Told()
+    line.session.close()
+    assert look(line, images=False, watch=told).releases == ()
+    line.close()
+    assert told.said == [
+        ("pi1", "the connection was lost before the command started; trying again for 3 min")
+    ]
+
+
+def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
+    """It may be switched off, and others are waiting for the answer."""
+    home.server.stop()
+    line, told = Line(home.robot), Told()
+    with pytest.raises(Unreachable):
+        look(line, images=False, watch=told)
+    assert told.said == []
 
 
 def test_a_command_that_fails_is_no_lost_link(home: Home) -> None:
