@@ -31,6 +31,9 @@ GRACE = 15.0
 LINGER = 2.0
 """Seconds to wait for the end of output after a command has ended: something it started may hold its output open."""
 
+BEAT = 10.0
+"""Seconds between two signs of life to a command whose input is held open: from their end it knows that nobody listens."""
+
 AGAIN = "see that the robot has power and signal, then run the same command again"
 
 
@@ -69,6 +72,7 @@ class Exchange:
         self._err: list[bytes] = []
         self._alive = time.monotonic()
         self._asked = False
+        self._over = threading.Event()
         self._failed: BaseException | None = None
 
     @property
@@ -98,9 +102,14 @@ class Exchange:
         deadline = float("inf") if limit is None else time.monotonic() + limit + GRACE
         if feed == ():
             self._end_input()
-        elif feed is not None:
+        elif feed is None:
+            threading.Thread(target=self._beat, daemon=True).start()
+        else:
             threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
-        self._listen(heard or self._out.append, deadline=deadline)
+        try:
+            self._listen(heard or self._out.append, deadline=deadline)
+        finally:
+            self._over.set()
         return self._code()
 
     def _listen(self, heard: Hearer, *, deadline: float) -> None:
@@ -167,6 +176,12 @@ class Exchange:
         finally:
             if close := getattr(feed, "close", None):
                 close()
+
+    def _beat(self) -> None:
+        """Tell the command that somebody listens. That this could be sent says nothing about the robot."""
+        with contextlib.suppress(OSError, EOFError):
+            while not self._over.wait(BEAT):
+                self._channel.send(b".")
 
     def _end_input(self) -> None:
         with contextlib.suppress(OSError, EOFError):

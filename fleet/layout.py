@@ -40,9 +40,13 @@ find "${{1%/*}}" -maxdepth 1 -name '*{PART}' -mmin +60 -exec rm -rf {{}} +"""
 """A directory that is right stays: containers that run have its files mounted, and would keep the removed ones."""
 
 _UNTIL_CLOSED = (
-    'exec 3<&0; "$@" & child=$!; { cat <&3; kill "$child"; } > /dev/null 2>&1 9>&- & wait "$child"'
+    'exec 3<&0; "$@" & child=$!'
+    '; { while [ -n "$(timeout 45 head -c 1 <&3)" ]; do :; done; kill "$child"; } > /dev/null 2>&1 9>&- & wait "$child"'
 )
-"""Runs a command until it ends, or until standard input closes, as it does with the connection: nothing runs on."""
+"""Runs a command until it ends, or until standard input closes, as it does with the connection: nothing runs on.
+
+The desktop's heartbeat comes there too (`fleet.exchange.BEAT`): when a link is lost, nobody closes anything.
+"""
 
 _TURN = 240
 """Seconds to wait for another person's command on the same robot to end."""

@@ -82,7 +82,8 @@ class Release:
                 # .env may hold what only the robot's login should read; bind-mounted files are read by containers.
                 entry.size, entry.mode = len(data), 0o600 if name == ".env" else 0o644
                 archive.addfile(entry, io.BytesIO(data))
-        return buffer.getvalue()
+            end = archive.offset + 2 * tarfile.BLOCKSIZE
+        return buffer.getvalue()[:end]  # Python fills it up to 10 kB, for tapes
 
 
 def read_stack(path: Path) -> Stack:

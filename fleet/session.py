@@ -78,7 +78,8 @@ class Session:
     ) -> Result:
         """Run a command and wait for its end.
 
-        ``feed`` becomes its standard input; ``None`` leaves that open and empty until the connection closes. ``limit``
+        ``feed`` becomes its standard input; ``None`` leaves that open until the connection closes, with
+        a byte now and then as a sign of life (`fleet.exchange.BEAT`). ``limit``
         is in seconds, and kept on the robot by ``timeout``, so that nothing runs on there. ``sent`` is told the bytes
         of each piece that left; ``heard`` is given standard output as it comes, which then is not kept.
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import shutil
@@ -288,3 +289,20 @@ def test_the_archive_is_one_that_any_tar_reads() -> None:
     with tarfile.open(fileobj=io.BytesIO(release().archive())) as archive:
         names = archive.getnames()
     assert sorted(names) == [".env", "compose.override.yaml", "compose.yaml", "files"]
+
+
+@pytest.mark.parametrize(("beats", "lives"), [(True, True), (False, False)])
+def test_what_nobody_listens_to_any_more_ends(beats: bool, lives: bool) -> None:
+    """A lost link closes nothing: the command goes on for as long as signs of life come, and no longer."""
+    _, dash_c, script, *rest = layout.until_closed(("sleep", "30"))
+    argv = ("sh", dash_c, script.replace("timeout 45", "timeout 1"), *rest)
+    with subprocess.Popen(argv, stdin=subprocess.PIPE, start_new_session=True) as process:
+        assert process.stdin
+        for _ in range(12):
+            time.sleep(0.25)
+            if beats:
+                process.stdin.write(b".")
+                process.stdin.flush()
+        assert (process.poll() is None) == lives
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, 9)

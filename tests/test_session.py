@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fleet import ssh
+from fleet import exchange, ssh
 from fleet.errors import LinkLost, TimedOut
 from fleet.session import Result
 
@@ -163,3 +163,10 @@ def test_a_restarted_sshd_is_a_lost_link(sshds: Sshds, sshd: Sshd) -> None:
         with pytest.raises(LinkLost, match="while the command ran"):
             session.run(("sleep", "30"))
         assert time.monotonic() - started < 3
+
+
+def test_a_command_hears_that_somebody_listens(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A byte now and then, from whose end a robot knows that the link is lost; and not a word too much."""
+    monkeypatch.setattr(exchange, "BEAT", 0.2)
+    assert session.run(("timeout", "5", "head", "-c", "3"), feed=None).output == "..."
+    assert session.run(("timeout", "5", "head", "-c", "3"), feed=()).output == ""
