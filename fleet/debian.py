@@ -163,6 +163,7 @@ def _bootstrap_command(base: Base, rootfs: Path) -> tuple[str, ...]:
 
 # What mmdebstrap and apt say when they cannot, and what cures it.
 _CURES = (
+    (("mirror sync in progress", "unexpected size"), "the archive is being renewed: try again in an hour"),
     (
         ("resolve", "failed to fetch", "could not connect", "timed out"),
         f"see whether {MIRROR} can be reached from here",
