@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fleet.transfer.delivery import Way
     from fleet.transfer.pace import Pace
     from fleet.transfer.pieces import Blob
+    from fleet.transfer.remaking import Source
 
 TELLING = 500_000
 """Bytes from which on a transfer tells something of the link."""
@@ -105,25 +106,27 @@ class Sender:
         """Those of the packed layers that are there sooner when the robot makes them of what it has."""
         if not delivery.may_make(facts):
             return {}
-        stock, made = facts.stock, {}
-        layers, known = [image.layers for image in images], (stock.chains, stock.manifests)
-        for wanted, source in remaking.sources(
-            layers,
+        found = remaking.sources(
+            [image.layers for image in images],
             packed,
-            chains=known[0],
-            manifests=known[1],
+            chains=facts.stock.chains,
+            manifests=facts.stock.manifests,
             containerd=facts.containerd,
             root=facts.data_root,
-        ).items():
-            blob = packed[wanted]
-            patch, same = None, source.diff_id == wanted
-            if not same and delivery.saves(blob, patch=0, rate=rate):
-                patch = self._patches.make(old=source.diff_id, new=wanted)
-            if same or patch:
-                cost = patch.size if patch else 0
-                if delivery.saves(blob, patch=cost, rate=rate):
-                    made[wanted] = Remade(diff_id=wanted, size=blob.unpacked, source=source, patch=patch)
-        return made
+        )
+        made = (self._remade(packed[wanted], source, rate=rate) for wanted, source in found.items())
+        return {one.diff_id: one for one in made if one}
+
+    def _remade(self, blob: Blob, source: Source, *, rate: float | None) -> Remade | None:
+        patch = None
+        if source.diff_id != blob.diff_id:
+            if not delivery.saves(blob, patch=0, rate=rate):
+                return None  # no patch is small enough
+            if not (patch := self._patches.make(old=source.diff_id, new=blob.diff_id)):
+                return None
+        if not delivery.saves(blob, patch=patch.size if patch else 0, rate=rate):
+            return None
+        return Remade(diff_id=blob.diff_id, size=blob.unpacked, source=source, patch=patch)
 
     def _rate(self, robot: Robot) -> float | None:
         return _least(self._rates.of(robot.address), self._pace.rate)
