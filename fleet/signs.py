@@ -63,6 +63,11 @@ SIGNS = (
         "{0} is shipping to it just now",
         "wait until that is done, then run the same command again",
     ),
+    Sign(
+        r"cannot (?:create|remove|move) .*'?\.fleet\b.*: Permission denied",
+        "something in its ~/.fleet belongs to another user",
+        "`sudo chown -R $(id -un): ~/.fleet` there; Docker makes what it mounts anew as root when it is gone",
+    ),
     # sudo.
     Sign(
         r"sudo: (?:a password is required|a terminal is required|no tty present|sorry, you must have a tty)",

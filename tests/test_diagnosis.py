@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 # What the tools really print: Docker 20.10 and 26.1, Compose 2.26, apt 3.0 and dpkg 1.22, sudo 1.9, curl 8, dash, bash.
 HEARD = [
+    (
+        "mkdir: cannot create directory '.fleet/releases/4b116d72170f.513.part': Permission denied",
+        "something in its ~/.fleet belongs to another user",
+        "sudo chown",
+    ),
     ("tim@desktop is shipping to this robot", "tim@desktop is shipping to it just now", "wait until"),
     (
         "write /var/lib/docker/tmp/GetImageBlob1: no space left on device",
