@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 RESET = struct.pack("ii", 1, 0)
 """What `SO_LINGER` takes for closing with an RST."""
 
-PIECE = 64 * 1024
+PIECE = 32 * 1024
 
 
 def at_once() -> bool:
@@ -38,14 +38,16 @@ class Cut:
 class Cutter:
     """A port of this computer that leads to a server. Each connection is cut by the first of ``todo`` that is left.
 
-    ``sent`` counts the bytes that were given to the server, ``cuts`` the cuts.
+    ``rate`` is that of the link to the server, in bytes per second: where the server is the slower one, a cut destroys what
+    waits before it. ``sent`` counts the bytes that were given to the server, ``cuts`` the cuts.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, *, rate: float = 1e9) -> None:
         self.todo: Sequence[Cut] = ()
         self.sent = 0
         self.cuts = 0
         self._server = (host, port)
+        self._rate = rate
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._counts = threading.Lock()
         threading.Thread(target=self._accept, daemon=True).start()
@@ -99,3 +101,4 @@ class Cutter:
                     count += len(data)
                     with self._counts:
                         self.sent += len(data)
+                    time.sleep(len(data) / self._rate)
