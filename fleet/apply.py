@@ -5,6 +5,7 @@ A step is believed by its proof only. When the link is lost, a step that resumes
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -77,7 +78,11 @@ def apply(
         except RobotError as problem:
             outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
             return replace(outcome, sent=work.bytes)
-    _note(plan, line, what_came="done")
+    for step in _note(plan, what_came="done"):
+        with contextlib.suppress(
+            RobotError
+        ):  # a robot whose disk is full cannot, and what it runs matters more
+            work.persist(step, quietly=True)
     for step in plan.afterwards:
         watch.began(plan.robot, step.title, None)
         _ask(step, line)
@@ -142,13 +147,13 @@ class _Work:
         self._patience = patience
         self.bytes = 0
 
-    def persist(self, step: Step) -> None:
+    def persist(self, step: Step, *, quietly: bool = False) -> None:
         """Run a step; when the link is lost under one that resumes, connect again and go on."""
         patience = _Patience(self._line, seconds=self._patience, watch=self._watch)
         while True:
             before = self.bytes
             try:
-                return self._do(step)
+                return self._do(step, quietly=quietly)
             except (LinkLost, Unreachable) as problem:
                 if not step.resumes:
                     raise
@@ -156,8 +161,9 @@ class _Work:
                     patience.renew()
                 patience.wait(problem)
 
-    def _do(self, step: Step) -> None:
-        self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
+    def _do(self, step: Step, *, quietly: bool) -> None:
+        if not quietly:
+            self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
         feed = self._open_feed(step.feed) if step.feed else None
         if not isinstance(feed, Conversation):
             _do(step, self._line, feed=feed, tell=self._tell)
@@ -231,7 +237,8 @@ def _aftermath(
             reason += f"\n(went back: {step.title})"
         except RobotError as second:
             reason += f"\nand then `{step.title}` failed: {second.what}"
-    _note(plan, line, what_came=f"failed: {problem.what}")
+    for step in _note(plan, what_came=f"failed: {problem.what}"):
+        _ask(step, line)
     return reason, problem.cure
 
 
@@ -243,8 +250,7 @@ def _ask(step: Step, line: Line) -> str:
         return ""
 
 
-def _note(plan: Plan, line: Line, *, what_came: str) -> None:
-    """Keep the history; a robot whose disk is full cannot, and what it runs matters more."""
-    if plan.record:
-        when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        _ask(layout.note(plan.record, when=when, what_came=what_came), line)
+def _note(plan: Plan, *, what_came: str) -> tuple[Step, ...]:
+    """Keep the history."""
+    when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return (layout.note(plan.record, when=when, what_came=what_came),) if plan.record else ()

@@ -57,7 +57,8 @@ release=$1; shift; {_UNTIL_CLOSED} || exit
 ln -sfn "releases/$release" {HOME}/current.new && mv -fT {HOME}/current.new {HOME}/current"""
 """One at a time: two `docker compose up` at once collide, and both fail."""
 
-_NOTE = 'mkdir -p .fleet && printf "%s\\n" "$1" >> .fleet/history'
+_NOTE = """mkdir -p .fleet
+[ "$(tail -n 1 .fleet/history 2> /dev/null)" = "$1" ] || printf "%s\\n" "$1" >> .fleet/history"""
 
 
 def folder(release: str) -> str:
@@ -125,7 +126,9 @@ def last_words(robot: Robot, release: str) -> Step:
 def note(record: Record, *, when: str, what_came: str) -> Step:
     """One line of history; ``when`` is in ISO 8601."""
     line = Event(when=when, verb=record.verb, release=record.release, by=record.by, outcome=what_came)
-    return Step(title="note it in the history", argv=("sh", "-c", _NOTE, "sh", str(line)), limit=20.0)
+    return Step(
+        title="note it in the history", argv=("sh", "-c", _NOTE, "sh", str(line)), limit=20.0, resumes=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

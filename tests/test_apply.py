@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+import os
 import queue
 import threading
 import time
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from sshd import Sshds
+    from sshd import Sshd, Sshds
 
     from fleet.plan import Feed
 
@@ -393,6 +395,34 @@ def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
     with pytest.raises(Unreachable):
         look(line, images=False, watch=told)
     assert told.said == []
+
+
+@pytest.mark.usefixtures("hurried")
+def test_the_history_is_kept_though_the_link_is_lost(home: Home) -> None:
+    """Else a rollback would not know of the release; it is written once."""
+    history = home.path / ".fleet/history"
+    back: list[Sshd] = []
+
+    def cut_while_it_is_read() -> None:
+        end = time.monotonic() + 20
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError):  # until there is a reader
+                writer = os.open(history, os.O_WRONLY | os.O_NONBLOCK)
+                history.unlink()
+                home.server.stop()
+                os.close(writer)
+                back.append(home.server.again())
+                return
+
+    thread = threading.Thread(target=cut_while_it_is_read)
+    thread.start()
+    plan = Plan(robot="pi1", summary="", steps=(sh("mkdir .fleet && mkfifo .fleet/history"),), record=RECORD)
+    told = Told()
+    outcome = applied(home, plan, watch=told)
+    thread.join()
+    back[0].stop()
+    assert (outcome.status, len(told.said) > 0) == ("done", True)
+    assert [line[-1] for line in home.history] == ["done"]
 
 
 def test_a_command_that_fails_is_no_lost_link(home: Home) -> None:
