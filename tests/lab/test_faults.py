@@ -88,9 +88,9 @@ def late(chance: random.Random, fab: Running, robot: str, *, login: int) -> list
         return Cut(after=after, later=later, when=lambda: fab.wrote(f"{robot}: {title}"))
 
     return [
-        *(cut("load it into Docker", later=chance.uniform(0, 2)) for _ in range(2)),
+        *(cut("load it into Docker", later=later) for later in (0, chance.uniform(0, 2))),
         *(cut("prove that what arrived", after=after) for after in (0, chance.randrange(login))),
-        *(cut("start release", later=chance.uniform(0, 2)) for _ in range(2)),
+        *(cut("start release", later=later) for later in (0, chance.uniform(0, 2))),
         cut("start release", after=chance.randrange(login)),
     ]
 
