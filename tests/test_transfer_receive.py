@@ -4,6 +4,7 @@ import contextlib
 import os
 import random
 import shutil
+import signal
 import subprocess
 import threading
 import time
@@ -368,6 +369,28 @@ def wait_for(truth: object) -> None:
     while not truth() and time.monotonic() < end:
         time.sleep(0.01)
     assert truth()
+
+
+def test_one_that_lost_its_link_while_it_waited_ends_nobody(pi: Pi, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is of the same run as the one that came after it, which has the turn."""
+    shorten(monkeypatch, 20)
+    pi.spool.mkdir(parents=True)
+    somebody = subprocess.Popen(("flock", pi.spool / "lock", "sleep", "60"), start_new_session=True)
+    sent = load(image(pi, fresh(), fresh()))
+    older = pi.begin(sent, whole=False)
+    assert _pipe(older.process.stdout).readline() == b"wait for somebody\n"
+    older.process.send_signal(signal.SIGSTOP)
+    younger = pi.begin(sent, whole=False)
+    os.killpg(somebody.pid, signal.SIGKILL)
+    somebody.wait()
+    count, _ = younger.feed(30_000)
+    older.process.send_signal(signal.SIGCONT)
+    assert older.end()[0] == 75
+    rest = list(sent.contents.values())[1][count - len(sent.frame.data) :]
+    _pipe(younger.process.stdin).write(rest)
+    _pipe(younger.process.stdin).flush()
+    assert younger.feed()[1][-1] == "enough"
+    assert younger.end() == (0, "")
 
 
 @pytest.mark.parametrize(("token", "code"), [("other", 75), ("one", 0)])

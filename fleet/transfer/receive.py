@@ -50,15 +50,16 @@ SCRIPT = f"""\
 set -eu
 token=$1 by=$2 frame=$3; shift 3
 mkdir -p .fleet/spool .fleet/receipts; cd .fleet/spool
-read -r _ _ _ _ group _ < /proc/$$/stat
+read -r _ _ _ _ group _ _ _ _ _ _ _ _ _ _ _ _ _ _ _ _ began _ < /proc/$$/stat
 
 # One shipment at a time. One that died with its link still holds the lock: it is ended by who sent it, or when it is stale.
-doing() {{ printf '%s %s %s %s\\n' "$group" "$token" "$1" "$by" > holder; }}
+# One whose link died while it waited here does not know, and must not end the one that came after it.
+doing() {{ printf '%s %s %s %s %s\\n' "$group" "$began" "$token" "$1" "$by" > holder; }}
 exec 9>> lock
 waited=0
 until flock -n 9; do
-  read -r its theirs does whose 2> /dev/null < holder || {{ its='' theirs='' does='' whose=somebody; }}
-  if [ "$theirs" = "$token" ] || {{ [ "$does" = receive ] && [ -z "$(find . -type f ! -name lock -mmin -1)" ]; }}; then
+  read -r its since theirs does whose 2> /dev/null < holder || {{ its='' since=0 theirs='' does='' whose=somebody; }}
+  if {{ [ "$theirs" = "$token" ] && [ "$since" -le "$began" ]; }} || {{ [ "$does" = receive ] && [ -z "$(find . -type f ! -name lock -mmin -1)" ]; }}; then
     [ -z "$its" ] || kill -- "-$its" 2> /dev/null || true
   fi
   [ "$waited" -lt {STALE} ] || {{ echo "$whose is shipping to this robot" >&2; exit {BUSY}; }}
