@@ -66,6 +66,7 @@ until flock -n 9; do
   [ "$waited" != 2 ] || echo "wait for $whose"
   sleep 1; waited=$((waited + 1))
 done
+doing begin
 
 # What is here by now, because another shipment or this one before it lost its link has brought it, is not asked for again.
 missing=
