@@ -93,6 +93,11 @@ class Running:
         return code, _pipe(self.process.stderr).read().decode().strip()
 
 
+def _end(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
+
+
 def _pipe(end: IO[bytes] | None) -> IO[bytes]:
     assert end is not None
     return end
@@ -139,7 +144,7 @@ class Pi:
             start_new_session=True,
         )
         self._running.append(process)
-        self._ends.append(threading.Timer(60, os.killpg, (process.pid, 9)))  # a test that hangs fails then
+        self._ends.append(threading.Timer(60, _end, (process.pid,)))  # a test that hangs fails then
         self._ends[-1].start()
         return Running(process=process, contents=what.contents)
 
@@ -375,14 +380,16 @@ def test_one_that_lost_its_link_while_it_waited_ends_nobody(pi: Pi, monkeypatch:
     """It is of the same run as the one that came after it, which has the turn."""
     shorten(monkeypatch, 20)
     pi.spool.mkdir(parents=True)
-    somebody = subprocess.Popen(("flock", pi.spool / "lock", "sleep", "60"), start_new_session=True)
+    holding = ("flock", pi.spool / "lock", "sh", "-c", "echo held; exec sleep 60")
+    somebody = subprocess.Popen(holding, stdout=subprocess.PIPE, start_new_session=True)
+    assert _pipe(somebody.stdout).readline() == b"held\n"
     sent = load(image(pi, fresh(), fresh()))
     older = pi.begin(sent, whole=False)
     assert _pipe(older.process.stdout).readline() == b"wait for somebody\n"
     older.process.send_signal(signal.SIGSTOP)
     younger = pi.begin(sent, whole=False)
     os.killpg(somebody.pid, signal.SIGKILL)
-    somebody.wait()
+    somebody.communicate()
     count, _ = younger.feed(30_000)
     older.process.send_signal(signal.SIGCONT)
     assert older.end()[0] == 75
