@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 Encoding = Literal["zstd-long", "zstd", "gzip"]
-"""``zstd-long`` finds repetitions 128 MiB apart, and who unpacks it needs that much memory; ``zstd`` needs 8 MiB."""
+"""``zstd-long`` finds repetitions 64 MiB apart, and who unpacks it needs several times as much memory; ``zstd`` finds them
+8 MiB apart."""
 
 ENCODINGS: tuple[Encoding, ...] = ("zstd-long", "zstd", "gzip")
 
@@ -44,7 +45,7 @@ TRAINED = b"\x37\xa4\x30\xec"
 DAMAGED = (zlib.error, zstd.ZstdError)
 """What is raised of packed bytes that are not right."""
 
-_WINDOW_LOG: Mapping[Encoding, int] = {"zstd-long": 27, "zstd": 23}
+_WINDOW_LOG: Mapping[Encoding, int] = {"zstd-long": 26, "zstd": 23}
 _LARGEST_WINDOW_LOG = 27  # 128 MiB: the most that `zstd -d` accepts without being told to
 _WORKERS = 2  # any number above none gives the same bytes; none at all gives others
 _GZIP = 31  # zlib's word for the largest window in a gzip container; its header carries no time

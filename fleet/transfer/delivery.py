@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 Way = Literal["patches", "missing layers", "all layers", "plain stream"]
 WAYS: tuple[Way, ...] = ("patches", "missing layers", "all layers", "plain stream")
 
-LONG_WINDOW = 700_000_000
-"""Bytes of memory a robot needs for layers packed with a window of 128 MiB, which dockerd keeps while it unpacks."""
+LONG_WINDOW = 1_200_000_000
+"""Bytes of memory a robot has that gets layers packed with a long window: dockerd keeps it several times while it unpacks."""
 
 UNKNOWN_RATE = 2_500_000
 """Bytes per second that a link is taken for as long as nobody has measured it: a fair Wi-Fi."""
