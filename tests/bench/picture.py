@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import pty
+import subprocess
 import sys
 
 from rich.console import Console
@@ -23,17 +25,17 @@ COLUMNS = 112
 
 def shown(argv: tuple[str, ...]) -> str:
     """What a command prints on a terminal, control sequences and all, with the lines it has overdrawn left out."""
+    ours, its = pty.openpty()
+    environment = {**os.environ, "COLUMNS": str(COLUMNS), "LINES": "40", "TERM": "xterm-256color"}
     said = bytearray()
-
-    def read(descriptor: int) -> bytes:
-        data = os.read(descriptor, 65536)
-        said.extend(data)
-        return b""
-
-    os.environ.update(COLUMNS=str(COLUMNS), LINES="40", TERM="xterm-256color")
-    code = os.waitstatus_to_exitcode(pty.spawn(argv, read))
-    if code:
-        sys.exit(f"{' '.join(argv)} ended with {code}: {said.decode(errors='replace')}")
+    with subprocess.Popen(argv, stdin=its, stdout=its, stderr=its, env=environment) as process:
+        os.close(its)
+        with contextlib.suppress(OSError):  # how Linux says that the other end is closed
+            while piece := os.read(ours, 65536):
+                said += piece
+    os.close(ours)
+    if process.returncode:
+        sys.exit(f"{' '.join(argv)} ended with {process.returncode}: {said.decode(errors='replace')}")
     text = said.decode().replace("\r\n", "\n")
     return text.rpartition("\x1b[?25h")[2].lstrip("\r\n") if "\x1b[?25h" in text else text
 
