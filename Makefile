@@ -9,7 +9,7 @@ JOBS := 2
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo test test-unit test-lab lint format bench bench-local bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -64,7 +64,9 @@ format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
 
-bench: testbed env ## measure what must be fast, and write docs/benchmarks.md (under 10 minutes)
+bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
+
+bench-local: testbed env ## measure what must be fast on this computer (under 10 minutes)
 	@PYTHONPATH=tests $(VENV)/bin/python -m bench
 
 bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the usual ways, as root (under 40 minutes)

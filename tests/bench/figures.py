@@ -51,6 +51,10 @@ Written by `make bench-transfer` on {when}; do not edit. {machine}
   in use before, the desk's is that of all its processes together; this computer's own Docker Engine is in neither.
 - **Before each run** the robot is wiped; for everything but the first ship, the same way brings `v1` first, over a cable.
   `docker save | ssh docker load` sends the same bytes whatever has changed, so it is measured once, as is the one with gzip.
+- **The pip layer built again** changes the code layer above it as well, by a date. That one is sent whole, and is nearly all
+  of this run's payload: its patch would be smaller, and there later, because a robot needs seconds for making a layer.
+- **Time of small changes** is `docker save` for the most part: a classic store stages the whole image before it gives out
+  one layer.
 - **{cut}**: half-way through, nothing gets through for {outage:g} s; the same line is typed again until it succeeds.
 - `zstd` is `zstd -3 --long=27` of each layer by itself.
 """
