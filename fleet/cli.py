@@ -88,11 +88,16 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
     except FleetError as problem:
         cure = f"\n  cure: {problem.cure}" if problem.cure else ""
         raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
-    except BrokenPipeError:  # `fab logs | head` is not an error; Python would complain again when it flushes
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        _forget_the_reader()
         code = 0
     if code:
         raise Exit(code=code)
+
+
+def _forget_the_reader() -> None:
+    """`fab logs | head` is not an error; Python would complain again when it flushes."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _misplaced(tasks: str, names: str) -> Exit:
@@ -125,11 +130,18 @@ def collection(verbs: Iterable[Any], **groups: Iterable[Any]) -> Collection:
 
 def main(verbs: Collection) -> None:
     """Run as a program of its own, without a fabfile."""
-    Fab(
+    program = Fab(
         name="fleet",
         binary="fleet",
         version=__version__,
         namespace=verbs,
         executor_class=Executor,
         config_class=Config,
-    ).run()
+    )
+    try:
+        try:
+            program.run()  # which ends with SystemExit
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _forget_the_reader()

@@ -233,6 +233,18 @@ def test_nobody_reads_at_all(mine: Project, words: tuple[str, ...]) -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_nobody_reads_the_list_of_verbs(mine: Project) -> None:
+    """`fleet --list | head -1`: Invoke prints that itself."""
+    read, write = os.pipe()
+    os.close(read)
+    argv = (str(FAB.with_name("fleet")), "--list")
+    done = subprocess.run(
+        argv, cwd=mine.folder, env=mine.environment, stdout=write, stderr=subprocess.PIPE, check=False
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_a_reader_that_has_enough_is_no_error(mine: Project) -> None:
     """`fab run ... | head -1`: no traceback, and nobody goes on for it."""
     process = subprocess.Popen(
