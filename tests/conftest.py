@@ -15,6 +15,14 @@ settings.register_profile("fleet", deadline=None)
 settings.load_profile("fleet")
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print what a test wants to be seen, also where it ran in another process."""
+    for report in terminalreporter.getreports("passed"):
+        for name, value in report.user_properties:
+            if name == "shown":
+                terminalreporter.write_line(f"{report.nodeid}: {value}")
+
+
 @pytest.fixture
 def sshds(tmp_path: Path) -> Iterator[Sshds]:
     """Starts real SSH servers."""
