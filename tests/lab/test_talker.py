@@ -135,7 +135,7 @@ def start(address: str) -> Iterator[Start]:
 @pytest.mark.parametrize("platform", MACHINES)
 def test_image_is_for_its_platform_and_small(platform: str) -> None:
     """Recorded platform and the programs inside agree; 260 MB is the most a robot has to take."""
-    debianarchive.needed(platform)
+    debianarchive.base(platform)
     image = build(platform.replace("/", "-"), platform)
     recorded = inspect(image, "{{.Os}}/{{.Architecture}}/{{.Variant}}").rstrip("/").removesuffix("/v8")
     assert recorded == platform
@@ -290,7 +290,7 @@ def test_arm_image_talks(platform: str, start: Start) -> None:
     """The very image that a Pi gets, under emulation."""
     if not emulates(platform):
         pytest.skip(f"this computer does not emulate {platform}")
-    debianarchive.needed(platform)
+    debianarchive.base(platform)
     robot = start(build(platform.replace("/", "-"), platform), "--platform", platform)
     assert first_message(robot, within=120).startswith('data: "')
     wait_for("{{.State.Health.Status}}", "healthy", within=120)
