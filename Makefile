@@ -48,7 +48,7 @@ test: testbed lint test-unit test-lab ## everything: lint, types, unit tests, th
 
 test-unit: testbed env ## the tests that need no virtual Pi
 	$(STEP) 'Unit tests'
-	@$(VENV)/bin/pytest tests --ignore tests/lab --numprocesses $(JOBS) --dist worksteal
+	@$(VENV)/bin/pytest tests/unit --numprocesses $(JOBS) --dist worksteal
 
 test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
@@ -67,13 +67,13 @@ format: env ## put the code into the project's format
 bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
 
 bench-local: testbed env ## measure what must be fast on this computer (under 10 minutes)
-	@PYTHONPATH=tests $(VENV)/bin/python -m bench
+	@$(VENV)/bin/python -m bench
 
 bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the usual ways, as root (under 40 minutes)
-	@PYTHONPATH=tests $(VENV)/bin/python -m bench transfer $(BENCH)
+	@$(VENV)/bin/python -m bench transfer $(BENCH)
 
 picture: env ## draw the README's picture of what a fleet that runs prints
-	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" PYTHONPATH=tests $(VENV)/bin/python -m bench.picture
+	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture
 
 lock: ## choose new versions of all dependencies (needs uv)
 	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \

@@ -1,5 +1,5 @@
 """What `fab` finds: the tasks, nothing else."""
 
-from fleet.tasks import ns
+from fleet.cli import ns
 
 __all__ = ["ns"]

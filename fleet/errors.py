@@ -40,25 +40,25 @@ class FleetError(Exception):
         return f"{self.what}; {self.cure}" if self.cure else self.what
 
 
-class Mistake(FleetError):
+class UsageError(FleetError):
     """The person at the terminal asked for something that cannot be meant."""
 
     exit_code = 2
 
 
-class InventoryError(Mistake):
+class InventoryError(UsageError):
     """The inventory file is missing, not YAML, or says something it may not say."""
 
 
-class SelectionError(Mistake):
+class SelectionError(UsageError):
     """``--hosts`` names a robot or group that the inventory does not have."""
 
 
-class ComposeError(Mistake):
+class ComposeError(UsageError):
     """The stack's Compose file cannot be read or used."""
 
 
-class ImageError(Mistake):
+class ImageError(UsageError):
     """A local image is missing or made for another platform."""
 
 

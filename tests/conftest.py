@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
-from sshd import Sshd, Sshds
+
+from tests.support.sshd import Sshd, Sshds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

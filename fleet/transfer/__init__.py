@@ -1,1 +1,1 @@
-"""How do an image's bytes reach a robot: only those that are missing, and in spite of the link?"""
+"""Which bytes a robot lacks, and how they get there."""

@@ -7,26 +7,29 @@ go on after a cut; the last needs nothing of the robot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from fleet.errors import NotReady
-from fleet.facts import IDENTITY
-from fleet.plan import ImageArchive, Parcel, Piece, Step, human_bytes, human_seconds
-from fleet.transfer import archive, receive, remaking
-from fleet.transfer.pieces import Blob, Lack, lacking
+from fleet.images.identity import IDENTITY
+from fleet.images.layer import Blob
+from fleet.plan.step import ImageArchive, Step, Upload, UploadBatch
+from fleet.transfer import load_archive, rebuild_command, receive
+from fleet.transfer.missing import MissingLayers, missing_layers
+from fleet.units import human_bytes, human_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from fleet.facts import Facts
-    from fleet.image import Image
-    from fleet.transfer.archive import Frame, Wanted
-    from fleet.transfer.receive import Shipment
-    from fleet.transfer.remaking import Remade
+    from fleet.images.image import Image
+    from fleet.robot.facts import Facts
+    from fleet.transfer.load_archive import ArchiveSkeleton, TargetImage
+    from fleet.transfer.rebuild_command import RebuiltLayer
+    from fleet.transfer.receive import TransferRun
+from fleet.plan.delivery import Delivery
 
-Way = Literal["patches", "missing layers", "all layers", "plain stream"]
-WAYS: tuple[Way, ...] = ("patches", "missing layers", "all layers", "plain stream")
+Strategy = Literal["patches", "missing layers", "all layers", "plain stream"]
+STRATEGIES: tuple[Strategy, ...] = ("patches", "missing layers", "all layers", "plain stream")
 
 LONG_WINDOW = 1_200_000_000
 """Bytes of memory a robot has that gets layers packed with a long window: dockerd keeps it several times while it unpacks."""
@@ -44,19 +47,10 @@ SLACK = 1.05
 """File systems and stores add a little to what they hold."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Delivery:
-    """The steps that bring images, nothing where none is missing; what they will take, and how they do it, in words."""
-
-    steps: tuple[Step, ...] = ()
-    forecast: str = ""
-    way: str = ""
-
-
-def lack(images: Sequence[Image], facts: Facts, *, way: Way) -> Lack:
+def lack(images: Sequence[Image], facts: Facts, *, way: Strategy) -> MissingLayers:
     """What must be sent of some images; ``all layers`` believes nothing of what seems to be there."""
     believed = way in ("patches", "missing layers")
-    return lacking(
+    return missing_layers(
         [image.layers for image in images],
         chains=facts.stock.chains if believed else (),
         manifests=facts.stock.manifests if believed else (),
@@ -73,13 +67,13 @@ def encoding(facts: Facts) -> Literal["zstd-long", "zstd", "gzip"]:
 
 
 def pieces(
-    images: Sequence[tuple[Image, Wanted]],
+    images: Sequence[tuple[Image, TargetImage]],
     *,
-    lack: Lack,
+    lack: MissingLayers,
     packed: Mapping[str, Blob],
-    made: Mapping[str, Remade],
+    made: Mapping[str, RebuiltLayer],
     facts: Facts,
-    shipment: Shipment,
+    shipment: TransferRun,
 ) -> Delivery:
     """Send the layers that a robot lacks, or have it make those that are in ``made``.
 
@@ -91,9 +85,9 @@ def pieces(
     """
     blobs = {**packed, **{one: Blob.plain(one, layer.size) for one, layer in made.items()}}
     members = tuple({blobs[one].digest: blobs[one] for one in lack.send}.values())
-    frame = archive.frame([wanted for _, wanted in images], blobs={**lack.there, **blobs}, sent=members)
+    frame = load_archive.frame([wanted for _, wanted in images], blobs={**lack.there, **blobs}, sent=members)
     label = f"{len(members)} of {lack.layers} layers"
-    parcel = Parcel(label=label, to=shipment.to, pieces=_parts(frame, members, made, facts))
+    parcel = UploadBatch(label=label, to=shipment.to, pieces=_parts(frame, members, made, facts))
     after = _room(members, parcel, facts)
     making = f", {_makes(made)}" if made else ""
     return Delivery(
@@ -120,29 +114,29 @@ def saves(packed: Blob, *, patch: int, rate: float | None) -> bool:
 
 
 def _parts(
-    frame: Frame, members: Sequence[Blob], made: Mapping[str, Remade], facts: Facts
-) -> tuple[Piece, ...]:
+    frame: ArchiveSkeleton, members: Sequence[Blob], made: Mapping[str, RebuiltLayer], facts: Facts
+) -> tuple[Upload, ...]:
     """The frame, the layers that are sent, and what others are made with."""
-    parts = [Piece(digest=frame.hex, size=len(frame.data), data=frame.data)]
+    parts = [Upload(digest=frame.hex, size=len(frame.data), data=frame.data)]
     if made:
-        program = remaking.program()
-        parts.append(Piece(digest=remaking.program_digest(), size=len(program), data=program))
+        program = rebuild_command.program()
+        parts.append(Upload(digest=rebuild_command.program_digest(), size=len(program), data=program))
     for blob in members:
         if blob.diff_id not in made:
-            parts.append(Piece(digest=blob.hex, size=blob.size))
+            parts.append(Upload(digest=blob.hex, size=blob.size))
         elif patch := made[blob.diff_id].patch:
             parts.append(patch)
     return tuple(replace(part, there=min(facts.stock.spool.get(part.digest, 0), part.size)) for part in parts)
 
 
-def _makes(made: Mapping[str, Remade]) -> str:
+def _makes(made: Mapping[str, RebuiltLayer]) -> str:
     patched = sum(layer.patch is not None for layer in made.values())
     copied = len(made) - patched
     ways = (f"{patched} of them as patches" * (patched > 0), f"{copied} copied there" * (copied > 0))
     return " and ".join(filter(None, ways))
 
 
-def _takes(parcel: Parcel, rate: float | None) -> str:
+def _takes(parcel: UploadBatch, rate: float | None) -> str:
     """Bytes and seconds of a parcel, in words."""
     came = sum(piece.there for piece in parcel.pieces)
     earlier = f" ({human_bytes(came)} came earlier)" if came else ""
@@ -170,7 +164,7 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
     )
 
 
-def _room(sent: Sequence[Blob], parcel: Parcel, facts: Facts) -> float:
+def _room(sent: Sequence[Blob], parcel: UploadBatch, facts: Facts) -> float:
     """Refuse what does not fit; the bytes that will be free afterwards.
 
     At the peak the spool and Docker's own copy of the archive are there, packed, and the layers, unpacked. A containerd

@@ -10,17 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fleet.plan import Step
-from fleet.transfer import remaking
-from fleet.transfer.archive import BLOCK, INCOMING
+from fleet.plan.step import Step
+from fleet.transfer import rebuild_command
+from fleet.transfer.load_archive import BLOCK, INCOMING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from fleet.plan import Parcel
-    from fleet.transfer.archive import Frame
-    from fleet.transfer.pieces import Blob
-    from fleet.transfer.remaking import Remade
+    from fleet.images.layer import Blob
+    from fleet.plan.step import UploadBatch
+    from fleet.transfer.load_archive import ArchiveSkeleton
+    from fleet.transfer.rebuild_command import RebuiltLayer
 
 UNUSABLE = 65
 """Exit code: all arrived, and the engine cannot use it. Another way of sending may help (sysexits.h, EX_DATAERR)."""
@@ -33,7 +33,7 @@ STALE = 70
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shipment:
+class TransferRun:
     """One run's way to one robot: its address, a ``token`` of the run's own, who ships (``tim@desktop``).
 
     ``rate`` is the link's last known one, in bytes per second.
@@ -138,13 +138,13 @@ empty
 
 
 def step(
-    parcel: Parcel,
-    frame: Frame,
+    parcel: UploadBatch,
+    frame: ArchiveSkeleton,
     members: Sequence[Blob],
-    made: Mapping[str, Remade],
+    made: Mapping[str, RebuiltLayer],
     *,
     title: str,
-    shipment: Shipment,
+    shipment: TransferRun,
 ) -> Step:
     """Send a parcel, put ``members`` into the frame's archive, those of ``made`` as the robot makes them, and load it."""
     by = "_".join(shipment.by.split())
@@ -167,10 +167,10 @@ def step(
     )
 
 
-def _comes(blob: Blob, made: Remade | None) -> str:
+def _comes(blob: Blob, made: RebuiltLayer | None) -> str:
     """How a layer comes into the archive: ``cat`` stands for the piece of its name, else a command that writes it."""
     if made is None:
         return "cat"
     patch = made.patch.digest if made.patch else ""
-    program = remaking.program_digest()
-    return " ".join(remaking.argv(program, made.source.where, wanted=blob.diff_id, patch=patch))
+    program = rebuild_command.program_digest()
+    return " ".join(rebuild_command.argv(program, made.source.where, wanted=blob.diff_id, patch=patch))

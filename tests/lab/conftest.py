@@ -10,15 +10,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import labengines
 import pytest
-from labproject import DOCKERFILE, HEAVY, HEAVY_SIZE, LAB, TINY, Project, forget, on_each, service, wipe
 
-from fleet import debian
-from fleet import lab as labs
-from fleet.emulation import desktop_platform
 from fleet.errors import FleetError
-from fleet.virtualpi import VirtualPi, ensure_image
+from fleet.images import debian_base
+from fleet.images.emulation import desktop_platform
+from fleet.lab import lifecycle
+from fleet.lab.virtual_pi import VirtualPi, ensure_image
+from tests.support import lab_engines as labengines
+from tests.support.lab_project import (
+    DOCKERFILE,
+    HEAVY,
+    HEAVY_SIZE,
+    LAB,
+    TINY,
+    Project,
+    forget,
+    on_each,
+    service,
+    wipe,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,7 +95,7 @@ class Lab:
 
 def made(name: str, directory: Path, *, count: int) -> Lab:
     """Start blank Pis."""
-    return started(name, directory, up=lambda: labs.up(count, directory=directory, name=name, say=print))
+    return started(name, directory, up=lambda: lifecycle.up(count, directory=directory, name=name, say=print))
 
 
 def started(name: str, directory: Path, *, up: Callable[[], None]) -> Lab:
@@ -95,15 +106,15 @@ def started(name: str, directory: Path, *, up: Callable[[], None]) -> Lab:
         pytest.fail(f"these tests need virtual Pis: {error}", pytrace=False)
     pis = (
         Pi(name=pi.name, address=pi.address, container=pi.container, key=directory / "id_ed25519")
-        for pi in labs.list_(name=name)
+        for pi in lifecycle.list_(name=name)
     )
     return Lab(name=name, directory=directory, pis=tuple(pis))
 
 
 def paper(directory: Path) -> Lab:
     """A robot that is only written down, which is all that `fab build` asks for."""
-    pi = VirtualPi(name="pi1", lab="paper", address="192.0.2.1", platform=labs.WANTED)
-    labs.write_inventory((pi,), directory=directory, platform=pi.platform, recipe=labs.RECIPE)
+    pi = VirtualPi(name="pi1", lab="paper", address="192.0.2.1", platform=lifecycle.WANTED)
+    lifecycle.write_inventory((pi,), directory=directory, platform=pi.platform, recipe=lifecycle.RECIPE)
     return Lab(name=pi.lab, directory=directory, pis=())
 
 
@@ -119,9 +130,9 @@ def only_one_session() -> Iterator[None]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         with (cache / "fleettest-bases.lock").open("w") as bases, contextlib.suppress(FleetError):
             fcntl.flock(bases, fcntl.LOCK_EX)
-            ensure_image(labs.RECIPE, say=print)
-            for platform in {desktop_platform(), labs.WANTED}:
-                debian.ensure("bookworm", platform, say=print)
+            ensure_image(lifecycle.RECIPE, say=print)
+            for platform in {desktop_platform(), lifecycle.WANTED}:
+                debian_base.ensure("bookworm", platform, say=print)
         yield
 
 
@@ -129,9 +140,9 @@ def only_one_session() -> Iterator[None]:
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     """Three blank Pis for the whole session. Whoever changes one puts it back, or takes ``own_lab``."""
     directory = tmp_path_factory.mktemp(LAB)
-    labs.down(directory=directory, name=LAB, say=print)  # what a killed run left
+    lifecycle.down(directory=directory, name=LAB, say=print)  # what a killed run left
     yield made(LAB, directory, count=COUNT)
-    labs.down(directory=directory, name=LAB, say=print)
+    lifecycle.down(directory=directory, name=LAB, say=print)
 
 
 @pytest.fixture
@@ -144,9 +155,9 @@ def pi(lab: Lab) -> Pi:
 def own_lab(tmp_path: Path) -> Iterator[Lab]:
     """One blank Pi for one test, which may do to it what it likes."""
     name = f"{LAB}-own"
-    labs.down(directory=tmp_path / "lab", name=name, say=print)
+    lifecycle.down(directory=tmp_path / "lab", name=name, say=print)
     yield made(name, tmp_path / "lab", count=1)
-    labs.down(directory=tmp_path / "lab", name=name, say=print)
+    lifecycle.down(directory=tmp_path / "lab", name=name, say=print)
 
 
 @pytest.fixture(scope="session")
@@ -163,11 +174,11 @@ def engines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     """The Pis of `labengines.ENGINES`, trusted. Whoever changes one puts it back."""
     name = f"{LAB}-engines"
     directory = tmp_path_factory.mktemp(name)
-    labs.down(directory=directory, name=name, say=print)
+    lifecycle.down(directory=directory, name=name, say=print)
     lab = started(name, directory, up=lambda: labengines.up(name, directory))
     Project.made(tmp_path_factory.mktemp("trust"), lab).well("trust", "--yes")
     yield lab
-    labs.down(directory=directory, name=name, say=print)
+    lifecycle.down(directory=directory, name=name, say=print)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import subprocess
 import time
 from typing import TYPE_CHECKING
 
-from labproject import (
+from tests.support.lab_project import (
     HEAVY,
     HEAVY_SIZE,
     current,
@@ -18,8 +18,8 @@ from labproject import (
 )
 
 if TYPE_CHECKING:
-    from lab.conftest import Pi
-    from labproject import Project
+    from tests.lab.conftest import Pi
+    from tests.support.lab_project import Project
 
 HALF = HEAVY_SIZE // 2
 STARTING = service(check="false").replace("start_period: 20s", "start_period: 600s")

@@ -4,10 +4,11 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import HEAVY, LAB, Project, current, environment, running, service
+
+from tests.support.lab_project import HEAVY, LAB, Project, current, environment, running, service
 
 if TYPE_CHECKING:
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 WRONG = f"{LAB}-wrong"
 FAILS = service(more='command: [sh, -c, "echo looking for the camera; echo no camera: $$COLOUR; exit 3"]')

@@ -4,11 +4,11 @@ import subprocess
 import tarfile
 from typing import TYPE_CHECKING
 
-import debianarchive
 import pytest
 
-from fleet import debian
-from fleet.emulation import desktop_platform, runs
+from fleet.images import debian_base
+from fleet.images.emulation import desktop_platform, runs
+from tests.support import debian_archive as debianarchive
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,16 +31,16 @@ def test_a_foreign_base_is_what_it_says(platform: str, machine: str) -> None:
 
 def test_a_base_that_is_there_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The second time nothing is said, pulled, built or written."""
-    debian.ensure("trixie", desktop_platform(), say=print)
+    debian_base.ensure("trixie", desktop_platform(), say=print)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     said: list[str] = []
-    debian.ensure("trixie", desktop_platform(), say=said.append)
+    debian_base.ensure("trixie", desktop_platform(), say=said.append)
     assert (said, list(tmp_path.iterdir())) == ([], [])
 
 
 def test_a_base_is_slim_and_carries_nothing_of_the_desktop() -> None:
     """No package lists, no manual pages; the name and the resolver are Docker's to give, at start."""
-    tag = debian.ensure("trixie", desktop_platform(), say=print)
+    tag = debian_base.ensure("trixie", desktop_platform(), say=print)
     container = docker("create", tag)
     with (
         subprocess.Popen(("docker", "export", container), stdout=subprocess.PIPE) as export,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lab.conftest import Lab
+    from tests.lab.conftest import Lab
 
 SCRIPT = Path(__file__).parents[2] / "docker" / "desktop.sh"
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from fleet.release import dotenv
+from fleet.robot.release import dotenv
 
 if TYPE_CHECKING:
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 NASTY = st.text(alphabet=st.sampled_from("ab \\\"'$\n\r\t#{}()=!`~;&|<>*?%[]-é☃\u00a0\u2028"), max_size=8)
 ANY = st.text(alphabet=st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=12)

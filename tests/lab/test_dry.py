@@ -4,12 +4,13 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import HEAVY, LAB, Project, on_each, service, wipe
+
+from tests.support.lab_project import HEAVY, LAB, Project, on_each, service, wipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 EVERYTHING = r"""
 docker ps --all --no-trunc --format '{{.ID}} {{.Names}} {{.State}}' | sort

@@ -4,13 +4,14 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from labengines import ENGINES, Engine
-from labproject import ANYWHERE, Project, current, environment, on_each, running, service, wipe
+
+from tests.support.lab_engines import ENGINES, Engine
+from tests.support.lab_project import ANYWHERE, Project, current, environment, on_each, running, service, wipe
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 ALL = tuple(engine.name for engine in ENGINES)
 

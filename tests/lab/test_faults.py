@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from cutter import Cut, Cutter
-from labproject import (
+
+from tests.support.lab_project import (
     HEAVY,
     HEAVY_SIZE,
     Project,
@@ -26,13 +26,14 @@ from labproject import (
     tags,
     wipe,
 )
+from tests.support.link_cutter import Cut, Cutter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from lab.conftest import Lab, Pi
-    from labproject import Said
+    from tests.lab.conftest import Lab, Pi
+    from tests.support.lab_project import Said
 
 CUTS = 200
 """While bytes are on their way; more come as they are loaded, proved and started."""

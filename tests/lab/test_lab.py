@@ -5,16 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import LAB
 
-from fleet import debian
-from fleet import lab as labs
 from fleet.errors import DesktopError
+from fleet.images import debian_base
+from fleet.lab import lifecycle
+from tests.support.lab_project import LAB
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 GET_DOCKER = Path(__file__).parents[2] / "docker" / "lab" / "get-docker.sh"
 
@@ -96,7 +96,7 @@ def test_up_again_changes_nothing(lab: Lab) -> None:
     """The same command twice: what runs is left alone."""
     before = started(lab), lab.inventory.read_text()
     said: list[str] = []
-    labs.up(3, directory=lab.directory, name=lab.name, say=said.append)
+    lifecycle.up(3, directory=lab.directory, name=lab.name, say=said.append)
     assert (started(lab), lab.inventory.read_text()) == before
     assert len(said) == 1
 
@@ -106,12 +106,12 @@ def test_up_starts_what_was_stopped(lab: Lab) -> None:
     off = lab.pis[1]
     before, key = started(lab), host_key(off)
     docker("stop", "--time", "5", off.container)
-    assert {pi.name: pi.state for pi in labs.list_(name=lab.name)} == {
+    assert {pi.name: pi.state for pi in lifecycle.list_(name=lab.name)} == {
         "pi1": "running",
         "pi2": "exited",
         "pi3": "running",
     }
-    labs.up(3, directory=lab.directory, name=lab.name, say=print)
+    lifecycle.up(3, directory=lab.directory, name=lab.name, say=print)
     after = started(lab)
     assert host_key(off) == key
     assert off.ssh("hostname").stdout == b"pi2\n"
@@ -125,8 +125,8 @@ def test_a_larger_count_adds_and_a_lost_pi_is_made_anew(own_lab: Lab) -> None:
     known = own_lab.directory / "known_hosts"
     known.write_text(f"{old.address} {key}\nexample.org {key}\n")
     docker("rm", "--force", old.container)
-    labs.up(2, directory=own_lab.directory, name=own_lab.name, say=print)
-    assert [(pi.name, pi.state) for pi in labs.list_(name=own_lab.name)] == [
+    lifecycle.up(2, directory=own_lab.directory, name=own_lab.name, say=print)
+    assert [(pi.name, pi.state) for pi in lifecycle.list_(name=own_lab.name)] == [
         ("pi1", "running"),
         ("pi2", "running"),
     ]
@@ -139,7 +139,7 @@ def test_a_lost_folder_is_made_anew(own_lab: Lab) -> None:
     """The Pis stay; the new key is let in."""
     for file in own_lab.directory.iterdir():
         file.unlink()
-    labs.up(1, directory=own_lab.directory, name=own_lab.name, say=print)
+    lifecycle.up(1, directory=own_lab.directory, name=own_lab.name, say=print)
     assert own_lab.pis[0].ssh("whoami").stdout == b"pi\n"
 
 
@@ -148,7 +148,7 @@ def test_down_removes_the_lab_and_nothing_else(lab: Lab, own_lab: Lab) -> None:
     before = started(lab)
     mine = own_lab.directory / "notes.txt"
     mine.write_text("keep me")
-    labs.down(directory=own_lab.directory, name=own_lab.name, say=print)
+    lifecycle.down(directory=own_lab.directory, name=own_lab.name, say=print)
     label = f"label=fleet.lab={own_lab.name}"
     lists = (("ps", "--all"), ("volume", "ls"), ("network", "ls"))
     assert [docker(*what, "--quiet", "--filter", label) for what in lists] == ["", "", ""]
@@ -159,7 +159,7 @@ def test_down_removes_the_lab_and_nothing_else(lab: Lab, own_lab: Lab) -> None:
 def test_down_without_a_lab_says_so(tmp_path: Path) -> None:
     """Twice is no error."""
     said: list[str] = []
-    labs.down(directory=tmp_path / "nowhere", name=f"{LAB}-none", say=said.append)
+    lifecycle.down(directory=tmp_path / "nowhere", name=f"{LAB}-none", say=said.append)
     assert said == ["there is no lab to remove"]
 
 
@@ -174,7 +174,7 @@ def somebodys_network() -> Iterator[str]:
 def test_somebody_elses_network_is_not_used(tmp_path: Path, somebodys_network: str) -> None:
     """Its containers would meet robots, and down would have to leave it."""
     with pytest.raises(DesktopError, match="somebody else's; give the lab another name"):
-        labs.up(1, directory=tmp_path, name=somebodys_network, say=print)
+        lifecycle.up(1, directory=tmp_path, name=somebodys_network, say=print)
 
 
 def test_a_pi_with_docker_runs_arm_images_and_restarts_them_after_a_power_cut(own_lab: Lab) -> None:
@@ -184,7 +184,7 @@ def test_a_pi_with_docker_runs_arm_images_and_restarts_them_after_a_power_cut(ow
     installed = pi.ssh("sudo sh get-docker.sh")
     assert installed.returncode == 0, installed.stderr.decode()
     assert b"+ sh -c" in installed.stderr
-    image = debian.ensure("bookworm", "linux/arm64", say=print)
+    image = debian_base.ensure("bookworm", "linux/arm64", say=print)
     archive = subprocess.run(("docker", "save", image), capture_output=True, check=True).stdout
     assert pi.ssh("sudo docker load", stdin=archive).returncode == 0
     assert pi.ssh(f"sudo docker run --rm {image} uname -m").stdout == b"aarch64\n"

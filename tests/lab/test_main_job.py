@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import LAB, Project, current, eventually, forget, on_each, running, wipe
+
+from tests.support.lab_project import LAB, Project, current, eventually, forget, on_each, running, wipe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
-    from labproject import Said
+    from tests.lab.conftest import Lab, Pi
+    from tests.support.lab_project import Said
 
 IMAGE = f"{LAB}-main"
 ALL = ("pi1", "pi2", "pi3")

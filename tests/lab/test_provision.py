@@ -8,21 +8,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import LAB
 
-from fleet import apt, hostkeys, inventory, lab, provision, script, ssh
-from fleet.apply import apply
+from fleet.config import inventory
 from fleet.errors import NotReady
-from fleet.line import Line
-from fleet.plan import Bytes
+from fleet.lab import lifecycle
+from fleet.plan.step import Bytes
+from fleet.provision import apt, docker_script
+from fleet.provision import steps as provision
+from fleet.rollout.apply import apply
+from fleet.rollout.link import Link
+from fleet.ssh import connect, known_hosts
+from tests.support.lab_project import LAB
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from fleet.facts import Facts
-    from fleet.inventory import Robot
-    from fleet.plan import Feed, Outcome, Plan
+    from fleet.config.inventory import Robot
+    from fleet.plan.outcome import Outcome
+    from fleet.plan.step import Feed, Plan
+    from fleet.robot.facts import Facts
 
 BOUNDS = apt.Bounds(patience=120, limit=300)
 
@@ -76,7 +81,7 @@ class Target:
             self.root(mended_by)
 
     def facts(self) -> Facts:
-        line = Line(self.robot)
+        line = Link(self.robot)
         try:
             return line.facts()
         finally:
@@ -86,12 +91,17 @@ class Target:
         script = script or self.script
         facts = self.facts()
         return provision.plan(
-            robot=self.robot, facts=facts, script=script, now=time.time(), by="tim@desktop", bounds=bounds
+            robot=self.robot,
+            facts=facts,
+            script=script,
+            now=time.time(),
+            by="tim@desktop",
+            bounds=bounds,
         )
 
     def provision(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> tuple[Outcome, list[str]]:
         """What became of it, and the steps that began."""
-        ear, line = Ear(), Line(self.robot)
+        ear, line = Ear(), Link(self.robot)
         try:
             return apply(self.plan(script, bounds=bounds), line, open_feed=opened, watch=ear), ear.steps
         finally:
@@ -99,15 +109,15 @@ class Target:
 
 
 def made(name: str, directory: Path) -> Iterator[Target]:
-    lab.down(directory=directory, name=name, say=print)  # what a killed run left
-    lab.up(1, directory=directory, name=name, say=print)
+    lifecycle.down(directory=directory, name=name, say=print)  # what a killed run left
+    lifecycle.up(1, directory=directory, name=name, say=print)
     (robot,) = inventory.load(directory / "inventory.yaml").robots.values()
-    (pi,) = lab.list_(name=name)
-    known_as, key = ssh.offered_key(robot)
-    hostkeys.record(robot.known_hosts, name=known_as, key=key)
-    source = script.fetch(robot.docker.script, sha256=None, base=directory)
+    (pi,) = lifecycle.list_(name=name)
+    known_as, key = connect.offered_key(robot)
+    known_hosts.record(robot.known_hosts, name=known_as, key=key)
+    source = docker_script.fetch(robot.docker.script, sha256=None, base=directory)
     yield Target(robot=robot, container=pi.container, script=source)
-    lab.down(directory=directory, name=name, say=print)
+    lifecycle.down(directory=directory, name=name, say=print)
 
 
 @pytest.fixture(scope="module")

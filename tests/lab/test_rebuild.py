@@ -8,14 +8,14 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from layers import made, noise, tar
 
-from fleet.transfer import remaking
+from fleet.transfer import rebuild_command
+from tests.support.layers import made, noise, tar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
+    from tests.lab.conftest import Lab, Pi
 
 IMAGE = "fleettest-rebuild:1"
 
@@ -48,11 +48,15 @@ def arguments(info: str, place: str) -> Iterator[tuple[str, ...]]:
     driver, root = info.split()
     chain = digest(f"{digest(LOWER)} {digest(OLD)}".encode())
     classic = driver == "overlay2"
-    old = remaking.from_chain(chain, root=root) if classic else remaking.from_blob(digest(OLD), root=root)
+    old = (
+        rebuild_command.from_chain(chain, root=root)
+        if classic
+        else rebuild_command.from_blob(digest(OLD), root=root)
+    )
     program, patch = f"{place}/rebuild.py", f"{place}/patch"
     for check in (True, False):
-        yield remaking.argv(program, old, wanted=digest(NEW), patch=patch, scratch=place, check=check)
-    yield remaking.argv(program, old, wanted=digest(OLD), scratch=place)
+        yield rebuild_command.argv(program, old, wanted=digest(NEW), patch=patch, scratch=place, check=check)
+    yield rebuild_command.argv(program, old, wanted=digest(OLD), scratch=place)
 
 
 INFO = ("docker", "info", "--format", "{{.Driver}} {{.DockerRootDir}}")
@@ -69,7 +73,7 @@ def test_a_layer_of_a_pis_own_engine_becomes_a_new_one(pi: Pi) -> None:
     try:
         assert ssh("docker", "load", stdin=archive()).returncode == 0
         assert ssh("mkdir", place).returncode == 0
-        for name, data in (("rebuild.py", remaking.program()), ("patch", made(OLD, NEW))):
+        for name, data in (("rebuild.py", rebuild_command.program()), ("patch", made(OLD, NEW))):
             assert ssh("tee", f"{place}/{name}", stdin=data).returncode == 0
         check, write, copy = arguments(ssh(*INFO).stdout.decode(), place)
         assert ssh("sudo", "-n", *check).stdout == b""
@@ -77,7 +81,7 @@ def test_a_layer_of_a_pis_own_engine_becomes_a_new_one(pi: Pi) -> None:
         assert ssh("sudo", "-n", *write).stdout == NEW
         assert ssh("sudo", "-n", *copy).stdout == OLD
         refused = ssh(*write)
-        assert (refused.returncode, refused.stdout) == (remaking.MISSING, b"")
+        assert (refused.returncode, refused.stdout) == (rebuild_command.MISSING, b"")
         assert refused.stderr.endswith(b": Permission denied\n")
         assert sorted(ssh("ls", "-A", place).stdout.split()) == [b"patch", b"rebuild.py"]
     finally:
@@ -93,7 +97,7 @@ def test_a_layer_of_this_computers_engine_becomes_a_new_one(lab: Lab) -> None:
     subprocess.run(("docker", "load"), input=archive(), capture_output=True, check=True)
     stores = {root.split()[1], "/var/lib/containerd"}
     volumes = (part for store in stores for part in ("--volume", f"{store}:{store}:ro"))
-    files = io.BytesIO(tar({"rebuild.py": remaking.program(), "patch": made(OLD, NEW)}))
+    files = io.BytesIO(tar({"rebuild.py": rebuild_command.program(), "patch": made(OLD, NEW)}))
     container = (
         "docker",
         "create",

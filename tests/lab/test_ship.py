@@ -4,11 +4,12 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import TINY, current, environment, eventually, running, service
+
+from tests.support.lab_project import TINY, current, environment, eventually, running, service
 
 if TYPE_CHECKING:
-    from lab.conftest import Pi
-    from labproject import Project
+    from tests.lab.conftest import Pi
+    from tests.support.lab_project import Project
 
 ALL = ("pi1", "pi2", "pi3")
 

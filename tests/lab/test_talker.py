@@ -12,15 +12,16 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-import debianarchive
 import pytest
-from labproject import LAB, eventually, forget
 
-from fleet import debian, listen
-from fleet.dockercli import buildkit_client, docker
-from fleet.emulation import desktop_platform, emulates
+from fleet.config.inventory import Robot
 from fleet.errors import DesktopError, NotAsPlanned, RobotError, TimedOut
-from fleet.inventory import Robot
+from fleet.images import debian_base
+from fleet.images.docker_cli import buildkit_client, docker
+from fleet.images.emulation import desktop_platform, emulates
+from fleet.ros import listen
+from tests.support import debian_archive as debianarchive
+from tests.support.lab_project import LAB, eventually, forget
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +43,7 @@ def build(tag: str, platform: str, *options: str, context: Path = PROJECT) -> st
     """Build the project's Dockerfile, without a registry; give the image's name."""
     bases = {"BUILD_BASE": desktop_platform(), "RUN_BASE": platform}
     arguments = [
-        f"--build-arg={name}={debian.ensure('bookworm', of, say=print)}" for name, of in bases.items()
+        f"--build-arg={name}={debian_base.ensure('bookworm', of, say=print)}" for name, of in bases.items()
     ]
     image = f"{NAME}:{tag}"
     command = (*buildkit_client(), "build", "--platform", platform, "--tag", image, *arguments, *options)

@@ -6,7 +6,8 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import (
+
+from tests.support.lab_project import (
     ANYWHERE,
     DOCKERFILE,
     LAB,
@@ -24,8 +25,8 @@ from labproject import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab
-    from labproject import Said
+    from tests.lab.conftest import Lab
+    from tests.support.lab_project import Said
 
 NAME = f"{LAB}-layers"
 LARGE, SMALL = 16_000_000, 50_000

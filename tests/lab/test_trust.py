@@ -6,14 +6,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
-from labproject import ROOT, eventually
+
+from tests.support.lab_project import ROOT, eventually
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from lab.conftest import Pi
-    from labproject import Project, Said
+    from tests.lab.conftest import Pi
+    from tests.support.lab_project import Project, Said
 
 
 @pytest.fixture

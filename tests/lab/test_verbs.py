@@ -3,11 +3,11 @@ from __future__ import annotations
 import subprocess
 from typing import TYPE_CHECKING
 
-from labproject import current, eventually, on_each, processes, running, service
+from tests.support.lab_project import current, eventually, on_each, processes, running, service
 
 if TYPE_CHECKING:
-    from lab.conftest import Pi
-    from labproject import Project
+    from tests.lab.conftest import Pi
+    from tests.support.lab_project import Project
 
 ALL = ("pi1", "pi2", "pi3")
 

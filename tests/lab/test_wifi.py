@@ -8,15 +8,16 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
-import wifi
-from labproject import DOCKERFILE, FAB, ROOT, Project, Running, eventually, running, service
-from wifi import Quality, Wifi, joined
+
+from tests.support import wifi
+from tests.support.lab_project import DOCKERFILE, FAB, ROOT, Project, Running, eventually, running, service
+from tests.support.wifi import Quality, Wifi, joined
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lab.conftest import Lab, Pi
-    from labproject import Said
+    from tests.lab.conftest import Lab, Pi
+    from tests.support.lab_project import Said
 
 IMAGE = "fleettest-wifi"
 PAYLOAD, CODE = 20_000_000, 60_000

@@ -1,0 +1,293 @@
+"""What does the person see? Tables, live progress, plain lines when piped, JSON for programs.
+
+The only module that imports rich. Results go to standard output; progress and problems to standard error.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections import Counter
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+from fleet import terminal
+from fleet.cli import json_output
+from fleet.plan.describe import details, headline, lines
+from fleet.plan.outcome import exit_code
+from fleet.units import human_bytes, human_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from types import TracebackType
+
+    from rich.console import RenderableType
+    from rich.progress import Task, TaskID
+
+    from fleet.images.image import Image
+    from fleet.plan.outcome import Outcome
+    from fleet.plan.step import Plan
+
+_MARKS = {
+    "done": "green",
+    "unchanged": "dim",
+    "failed": "bold red",
+    "unreachable": "bold yellow",
+    "skipped": "yellow",
+}
+_COLOURS = ("cyan", "magenta", "green", "yellow", "blue", "bright_red", "bright_cyan", "bright_magenta")
+_COLUMNS_OF_A_FILE = 10_000
+"""Width of lines that do not go to a terminal: no table is folded there."""
+
+
+class Terminal(Console):
+    """Rich's, where a reader that is gone (``| head``) is an exception and not the end of the program."""
+
+    def on_broken_pipe(self) -> None:
+        """See ``rich.console.Console.on_broken_pipe``."""
+        raise BrokenPipeError
+
+
+class Screen:
+    """The terminal, or what stands in for it."""
+
+    def __init__(self) -> None:
+        width = None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE
+        self.out = Terminal(width=width, highlight=False, soft_wrap=not sys.stdout.isatty())
+        self.err = Terminal(
+            stderr=True, width=None if sys.stderr.isatty() else _COLUMNS_OF_A_FILE, highlight=False
+        )
+
+    def say(self, text: str) -> None:
+        """One line of what is going on."""
+        self.err.print(_text(text))
+
+    def lines(self, lines: Iterable[str]) -> None:
+        """Lines of result, exactly."""
+        for line in lines:
+            self.out.print(_text(line), soft_wrap=True)
+
+    def json(self, value: object) -> None:
+        """A value for programs, on standard output."""
+        sys.stdout.write(json_output.text(value) + "\n")
+
+    def plans(self, plans: Iterable[Plan]) -> None:
+        """What ``--dry`` shows."""
+        for plan in plans:
+            for number, text in enumerate(lines(plan)):
+                self.out.print(_text(text, "bold" if number == 0 else ""), soft_wrap=True)
+
+    def images(self, images: Iterable[Image], *, json: bool) -> None:
+        """Local images: name, platform and size."""
+        if json:
+            self.json(list(images))
+        else:
+            columns = ("image", "platform", "size")
+            self.table(
+                columns, [((i.reference, ""), (i.platform, ""), (human_bytes(i.size), "")) for i in images]
+            )
+
+    def outcomes(self, outcomes: Sequence[Outcome]) -> None:
+        """A line per robot, its reason and cure below where it has one, and the sum."""
+        width = max((len(outcome.robot) for outcome in outcomes), default=0)
+        for outcome in outcomes:
+            text = Text.assemble(
+                f"{outcome.robot:{width}}  ",
+                (f"{outcome.status:11}", _MARKS[outcome.status]),
+                f"  {terminal.plain(headline(outcome))}",
+            )
+            self.out.print(text, soft_wrap=True)
+            for detail in details(outcome):
+                self.out.print(_text(f"{'':{width}}  {detail}"), soft_wrap=True)
+        counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
+        self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
+
+    def problems(self, outcomes: Sequence[Outcome]) -> int:
+        """Show the robots that failed, on standard error, and return the exit code. Ctrl-C is how a person stops."""
+        bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
+        for outcome in bad:
+            for text in (f"{outcome.robot}: {headline(outcome)}", *details(outcome)):
+                self.err.print(_text(text), soft_wrap=True)
+        return exit_code(tuple(bad))
+
+    def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:
+        """A table of cells, each a text and a style."""
+        self.out.print(_table(columns, rows))
+
+    def live(self, columns: Sequence[str], rows: Callable[[], Sequence[Sequence[tuple[str, str]]]]) -> Live:
+        """A table that draws itself again every half second, for as long as the ``with`` around it lasts."""
+        return Live(get_renderable=lambda: _table(columns, rows()), console=self.out, refresh_per_second=2)
+
+    def records(self, records: Mapping[str, Mapping[str, object]]) -> None:
+        """Names with their values below, nested ones by a dotted key."""
+        for name, values in records.items():
+            self.out.print(_text(name, "bold"))
+            for key, value in _flat(values):
+                self.out.print(_text(f"  {key:24} {value}"), soft_wrap=True)
+
+    def confirm(self, question: str) -> bool:
+        """Ask a person; nobody there is a no."""
+        asked = _text(f"{question} [y/N] ")
+        return sys.stdin.isatty() and self.err.input(asked).strip().lower() in ("y", "yes")
+
+    def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
+        """Show what became of the robots, and return the exit code."""
+        if json:
+            self.json(outcomes)
+        else:
+            self.outcomes(outcomes)
+        return exit_code(tuple(outcomes))
+
+    def prefixed(self, names: Sequence[str]) -> Callable[[str, str], None]:
+        """A printer of lines with a coloured name before each, safe to call from many threads."""
+        width = max((len(name) for name in names), default=0)
+        styles = {name: _COLOURS[number % len(_COLOURS)] for number, name in enumerate(names)}
+        lock = threading.Lock()
+
+        def printer(name: str, text: str) -> None:
+            said = Text.from_ansi(terminal.coloured(text))
+            with lock:
+                self.out.print(Text.assemble((f"{name:{width}} | ", styles[name]), said), soft_wrap=True)
+
+        return printer
+
+    def progress(self) -> Show:
+        """Live progress on a terminal, a line per step where there is none."""
+        return Bars(self.err) if self.err.is_terminal else Lines(self)
+
+
+class Lines:
+    """Progress where nobody watches live: one line when a robot starts something."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def began(self, robot: str, title: str, size: int | None) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        self._screen.say(f"{robot}: {title}" + (f" ({human_bytes(size)})" if size else ""))
+
+    def sent(self, robot: str, count: int) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+
+    def told(self, robot: str, text: str) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        self._screen.say(f"{robot}: {text}")
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
+
+
+class WhereBytesFlow(ProgressColumn):
+    """Another column, empty for steps that send nothing."""
+
+    def __init__(self, column: ProgressColumn) -> None:
+        super().__init__()
+        self._column = column
+
+    def render(self, task: Task) -> RenderableType:
+        """See ``rich.progress.ProgressColumn.render``."""
+        return self._column.render(task) if task.total else ""
+
+
+class Bars:
+    """A line per robot that moves: what it does, and where bytes flow how many, how fast and how long still."""
+
+    def __init__(self, console: Console) -> None:
+        self._moving = Progress(
+            SpinnerColumn(),
+            TextColumn("[bold]{task.fields[robot]}"),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            WhereBytesFlow(BarColumn(bar_width=24)),
+            WhereBytesFlow(DownloadColumn()),
+            WhereBytesFlow(TransferSpeedColumn()),
+            WhereBytesFlow(TimeRemainingColumn(compact=True)),
+            console=console,
+            transient=True,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        self._moving.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._moving.stop()
+
+    def began(self, robot: str, title: str, size: int | None) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        with self._lock:
+            self._drop(robot)
+            self._tasks[robot] = self._moving.add_task(title, total=size, robot=robot)
+
+    def sent(self, robot: str, count: int) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        with self._lock:
+            if robot in self._tasks:  # bytes may leave after Ctrl-C has ended it
+                self._moving.advance(self._tasks[robot], count)
+
+    def told(self, robot: str, text: str) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        self._moving.console.print(_text(f"{robot}: {text}"), soft_wrap=True)
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `fleet.rollout.progress.Progress`."""
+        with self._lock:
+            self._drop(outcome.robot)
+
+    def _drop(self, robot: str) -> None:
+        task = self._tasks.pop(robot, None)
+        if task is not None:
+            self._moving.remove_task(task)
+
+
+Show = Lines | Bars
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(*(_text(text, style) for text, style in row))
+    return table
+
+
+def _text(said: str, style: str = "") -> Text:
+    """Words of ours or of a robot's: as they are, with no markup and no control in them."""
+    return Text(terminal.plain(said), style=style)
+
+
+def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value

@@ -1,0 +1,170 @@
+"""Which verbs look at robots, or talk with them? None of them changes what a robot runs."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from typing import TYPE_CHECKING
+
+from fleet.cli import status as states
+from fleet.cli.console import Screen
+from fleet.cli.execute import keep_observing, observe
+from fleet.cli.selection import select
+from fleet.cli.verb import verb
+from fleet.errors import UsageError
+from fleet.plan import containers
+from fleet.rollout import stream
+from fleet.rollout.progress import NoProgress
+from fleet.ssh import openssh_config
+
+if TYPE_CHECKING:
+    from fleet.config.inventory import Robot
+    from fleet.robot.facts import Facts
+
+
+@verb(looks=True)
+def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> None:
+    """Show each robot with its merged values.
+
+    What the inventory says of it: defaults, then its groups, then its own.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    if json:
+        screen.json([robot.model_dump(mode="json") for robot in robots])
+    else:
+        screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
+
+
+@verb({"watch": "keep the table up to date, until Ctrl-C"}, looks=True)
+def status(hosts: str = "all", watch: bool = False, json: bool = False, inventory: str = "") -> int:
+    """Show release, health, Docker, disk, temperature.
+
+    The exit code is 0 when every robot answers and all its containers are well.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    seen = observe(robots, watch=NoProgress())
+    if json:
+        screen.json({name: states.record(what) for name, what in seen.items()})
+    elif watch:
+        with screen.live(states.COLUMNS, lambda: [states.row(name, what) for name, what in seen.items()]):
+            keep_observing(robots, seen, every=2.0, watch=NoProgress())
+    else:
+        screen.table(states.COLUMNS, [states.row(name, what) for name, what in seen.items()])
+    return 0 if watch or all(states.good(what) for what in seen.values()) else 1
+
+
+@verb({"tail": "events to show of each robot; default: 10"}, looks=True)
+def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: str = "") -> int:
+    """Show who shipped what, when, and its outcome.
+
+    Each robot keeps its own, in ~/.fleet/history.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    seen = observe(robots, watch=NoProgress())
+    events = {name: states.events(what)[-tail:] if tail else () for name, what in seen.items()}
+    if json:
+        screen.json(events)
+    else:
+        screen.table(
+            states.EVENT_COLUMNS, [states.event_row(name, e) for name in events for e in events[name]]
+        )
+    return screen.problems(states.problems(seen))
+
+
+@verb(
+    {
+        "follow": "go on with what they say from now on, until Ctrl-C",
+        "tail": "lines from the end of each container's log, or all; default: 20",
+        "since": "only what was said since then: 10m, 2h, 2026-11-23T12:00:00",
+        "service": "only this service of the stack",
+    },
+    looks=True,
+)
+def logs(
+    hosts: str = "all",
+    follow: bool = False,
+    tail: str = "20",
+    since: str = "",
+    service: str = "",
+    inventory: str = "",
+) -> int:
+    """Show what the robots' containers print.
+
+    All robots merged, each line with the name of its robot.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    printer = screen.prefixed([robot.name for robot in robots])
+
+    def argv(robot: Robot, facts: Facts) -> tuple[str, ...]:
+        return containers.logs(
+            robot=robot, facts=facts, follow=follow, tail=tail, since=since, service=service
+        )
+
+    return screen.problems(stream.logs(robots, argv, follow=follow, printer=printer, watch=NoProgress()))
+
+
+@verb(
+    {
+        "command": "a line for the robots' shell; also after --",
+        "limit": "seconds it may take, 0: any; default: 60",
+    }
+)
+def run(
+    command: str = "", hosts: str = "all", limit: int = 60, dry: bool = False, inventory: str = ""
+) -> int:
+    """Run a command on robots: fab run -- uptime.
+
+    It is a line for their shell, run as the login. The exit code is 1 where it fails on one.
+    """
+    if not command:
+        raise UsageError("there is no command to run", cure="fab run --hosts NAMES -- COMMAND")
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    if dry:
+        screen.lines(f"{robot.name}: $ {command}" for robot in robots)
+        return 0
+    printer = screen.prefixed([robot.name for robot in robots])
+    return screen.problems(stream.run(robots, command, limit=limit, printer=printer, watch=NoProgress()))
+
+
+@verb({"hosts": "one robot"})
+def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
+    """Log in to one robot.
+
+    With OpenSSH, and the host keys that `fab trust` recorded.
+    """
+    robots = select(inventory, hosts)[1]
+    if len(robots) != 1:
+        raise UsageError(
+            f"a shell goes to one robot, and {hosts} names {len(robots)}", cure="fab shell --hosts NAME"
+        )
+    argv = openssh_config.login(robots[0])
+    if dry:
+        Screen().lines([shlex.join(argv)])
+        return
+    os.execvp(argv[0], argv)  # noqa: S606  the terminal becomes ssh's
+
+
+@verb(
+    {
+        "topic": "the topic; default: /time",
+        "count": "messages from each robot, 0: until Ctrl-C; default: 0",
+        "timeout": "seconds of silence that are a failure; default: 10",
+    },
+    looks=True,
+)
+def listen(
+    hosts: str = "all", topic: str = "/time", count: int = 0, timeout: int = 10, inventory: str = ""
+) -> int:
+    """Show a topic's messages as they arrive here.
+
+    Without ROS on this computer. Where none arrive, it says why: a name that does not resolve, a loopback address, a
+    closed port, a silent topic.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    printer = screen.prefixed([robot.name for robot in robots])
+    return screen.problems(
+        stream.topics(robots, topic, count=count, timeout=timeout, printer=printer, watch=NoProgress())
+    )
+
+
+VERBS = (inventory, status, history, logs, run, shell, listen)

@@ -1,0 +1,122 @@
+"""How does a robot's state read in one row?"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from fleet.errors import FleetError
+from fleet.plan.outcome import failure
+from fleet.robot.history import Event, history
+from fleet.units import human_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from fleet.plan.outcome import Outcome
+    from fleet.robot.facts import Container, Facts
+
+EVENT_COLUMNS = ("robot", "when (UTC)", "what", "release", "by", "outcome")
+COLUMNS = ("robot", "reachable", "release", "containers", "docker", "disk free", "temp")
+
+Cell = tuple[str, str]
+"""A text and the style it is shown in."""
+
+
+def row(name: str, seen: Facts | FleetError) -> Sequence[Cell]:
+    """The cells of one robot, as in `COLUMNS`."""
+    if isinstance(seen, FleetError):
+        return (
+            (name, "bold"),
+            ("no", "bold red"),
+            ("", ""),
+            (seen.what, "red"),
+            ("", ""),
+            ("", ""),
+            ("", ""),
+        )
+    return (
+        (name, "bold"),
+        ("yes", "green"),
+        (seen.current or "none", "" if seen.current else "dim"),
+        _containers(seen),
+        (seen.docker, "") if seen.engine == "ready" else (seen.engine, "red"),
+        _disk(seen),
+        _temperature(seen.temperature),
+    )
+
+
+def good(seen: Facts | FleetError) -> bool:
+    """Whether the robot answers and all it was sent runs well."""
+    if isinstance(seen, FleetError):
+        return False
+    return all(c.healthy and c.release == seen.current for c in seen.containers) and (
+        bool(seen.containers) or not seen.current
+    )
+
+
+def record(seen: Facts | FleetError) -> dict[str, object]:
+    """One robot's state for programs."""
+    if isinstance(seen, FleetError):
+        return {"reachable": False, "reason": seen.what, "cure": seen.cure}
+    said = asdict(seen)
+    return {"reachable": True, "healthy": good(seen), **{key: said[key] for key in said if key != "images"}}
+
+
+def events(seen: Facts | FleetError) -> tuple[Event, ...]:
+    """A robot's history, oldest first."""
+    return () if isinstance(seen, FleetError) else history(seen.history)
+
+
+def event_row(name: str, event: Event) -> Sequence[Cell]:
+    """The cells of one event, as in `EVENT_COLUMNS`."""
+    when = event.when.replace("T", " ").rstrip("Z")
+    style = "green" if event.outcome == "done" else "red"
+    return (
+        (name, "bold"),
+        (when, ""),
+        (event.verb, ""),
+        (event.release, ""),
+        (event.by, ""),
+        (event.outcome, style),
+    )
+
+
+def problems(seen: Mapping[str, Facts | FleetError]) -> tuple[Outcome, ...]:
+    """The outcomes of the robots that could not be looked at."""
+    return tuple(failure(name, what) for name, what in seen.items() if isinstance(what, FleetError))
+
+
+def _containers(facts: Facts) -> Cell:
+    if not facts.containers:
+        return ("none", "red" if facts.current else "dim")
+    text = ", ".join(_container(container, facts.current) for container in facts.containers)
+    return (text, "green" if good(facts) else "red")
+
+
+def _container(container: Container, current: str) -> str:
+    """``talker healthy 3 minutes``: Docker's own sentence without its filling, and the release if it is another."""
+    health = re.search(r"\((?:health: )?(\w+)\)", container.status)
+    since = re.sub(r"^Up |\s*\([^)]*\)|About ", "", container.status)
+    state = health[1] if health else container.state
+    other = f" of release {container.release}" if container.release != current else ""
+    return (
+        f"{container.service} {state} {since}{other}".strip()
+        if container.state == "running"
+        else (f"{container.service} {container.status}{other}")
+    )
+
+
+def _disk(facts: Facts) -> Cell:
+    if not facts.disk_size:
+        return ("", "")
+    share = facts.disk_free / facts.disk_size
+    return (f"{human_bytes(facts.disk_free)} ({share:.0%})", "red" if share < 0.1 else "")
+
+
+def _temperature(celsius: float | None) -> Cell:
+    """A Pi slows down from 80 °C."""
+    if celsius is None:
+        return ("", "")
+    return (f"{celsius:.0f} °C", "red" if celsius >= 80 else "yellow" if celsius >= 70 else "")

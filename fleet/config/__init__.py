@@ -1,0 +1,1 @@
+"""What a person wrote: the inventory, the selection, the stack."""

@@ -1,0 +1,300 @@
+"""Who are the robots?
+
+`load` reads an inventory file, the files it includes, and answers with robots whose values are merged: defaults, then
+the robot's groups in file order, then the robot itself. Everything wrong is reported at once, with file and line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
+
+from fleet.config import merge, validation
+from fleet.config.selection import choose
+from fleet.errors import InventoryError, SelectionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pydantic_core import ErrorDetails
+
+    from fleet.config.yamlfile import Document, Location
+
+Platform = Literal["linux/arm64", "linux/arm/v7", "linux/amd64"]
+
+
+def _group(value: object) -> object:
+    return {"robots": value or []} if value is None or isinstance(value, list) else value
+
+
+def _robot(value: object) -> object:
+    return {"address": value} if isinstance(value, str) else {} if value is None else value
+
+
+Text = Annotated[str, Field(pattern=validation.TEXT)]
+Name = Annotated[str, Field(pattern=validation.NAME)]
+Address = Annotated[str, Field(pattern=validation.ADDRESS)]
+Members = list[Annotated[str, Field(pattern=validation.MEMBER)]]
+Scalar = str | int | float
+Environment = dict[
+    Annotated[str, Field(pattern=validation.VARIABLE)],
+    Annotated[Scalar, PlainValidator(validation.environment_value, json_schema_input_type=Scalar)],
+]
+Files = dict[Annotated[str, Field(pattern=validation.FILE)], Text]
+# Keys that match no pattern: pydantic refuses them, its JSON Schema has to be told.
+_CLOSED = Field(json_schema_extra={"additionalProperties": False})
+
+
+class Frozen(BaseModel):
+    """A value that does not change and knows no other keys."""
+
+    # Built at first use: `fab --list` reads no inventory.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, regex_engine="python-re", defer_build=True
+    )
+
+
+class Ros(Frozen):
+    """How the robot's ROS nodes find each other. At most one of ``hostname`` and ``ip``."""
+
+    model_config = ConfigDict(json_schema_extra={"not": validation.BOTH_NAMES})
+
+    master: Annotated[str, Field(pattern=validation.MASTER)] = Field(
+        default="own",
+        description="'own': each robot runs its roscore. Else a shared one's URI, http://host:port.",
+    )
+    hostname: Annotated[str, Field(pattern=validation.HOSTNAME)] | None = Field(
+        default=None, description="ROS_HOSTNAME: the name others reach the robot by. Default: its address."
+    )
+    ip: Annotated[str, Field(pattern=validation.IP), AfterValidator(validation.ip)] | None = Field(
+        default=None, description="ROS_IP, instead of hostname, where names do not resolve."
+    )
+    namespace: Annotated[str, Field(pattern=validation.NAMESPACE)] | None = Field(
+        default=None, description="ROS_NAMESPACE: goes before every name; needed when robots share a roscore."
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_call_it(self) -> Self:
+        if self.hostname is not None and self.ip is not None:
+            raise ValueError("hostname and ip exclude each other; remove one of them")
+        return self
+
+
+class Docker(Frozen):
+    """How Docker gets onto the robot."""
+
+    script: Text = Field(
+        default="https://get.docker.com",
+        description="Docker's convenience script: a URL, or a path relative to this file.",
+    )
+    sha256: Annotated[str, Field(pattern=validation.SHA256)] | None = Field(
+        default=None, description="Checksum of the script; another one is not run."
+    )
+    version: Annotated[str, Field(pattern=validation.VERSION)] | None = Field(
+        default=None,
+        description="Docker Engine version to install, in full, such as '27.5.1'. Default: the newest.",
+    )
+    log_max_size: Annotated[str, Field(pattern=validation.SIZE)] = Field(
+        default="10m", description="Size at which a container's log file is rotated, such as '10m'."
+    )
+    log_max_file: int = Field(default=3, ge=1, description="Log files kept per container.")
+
+
+class Values(Frozen):
+    """What a robot, a group or the defaults may say."""
+
+    user: Annotated[str, Field(pattern=validation.USER)] | None = Field(
+        default=None, description="Login. Default: what your OpenSSH configuration says."
+    )
+    port: Annotated[int, Field(ge=1, le=65535)] | None = Field(
+        default=None, description="Port of the robot's sshd. Default: what your OpenSSH configuration says."
+    )
+    identity_file: Text | None = Field(
+        default=None,
+        description="SSH key, relative to this file. Default: what your OpenSSH configuration says.",
+    )
+    platform: Platform = Field(
+        default="linux/arm64", description="What images are built for: 64-bit ARM, 32-bit ARM or a PC."
+    )
+    ros: Ros | None = Field(default=None, description="ROS settings.")
+    docker: Docker | None = Field(default=None, description="How Docker gets onto the robot.")
+    environment: Annotated[Environment, _CLOSED] | None = Field(
+        default=None, description="Variables for the stack: `${NAME}` in its Compose file."
+    )
+    files: Annotated[Files, _CLOSED] | None = Field(
+        default=None,
+        description="Files for the stack. Name below files/ on the robot: file here, relative to this file.",
+    )
+
+
+class GroupValues(Values):
+    """A group: its robots, and values for them."""
+
+    robots: Members | None = Field(
+        default=None, description="Names and wildcards such as 'pi*', of included robots too."
+    )
+
+
+class RobotValues(Values):
+    """A robot: its address, and values of its own."""
+
+    address: Address = Field(
+        default="", description="Host name, IP address or OpenSSH alias. Default: its name."
+    )
+
+
+_Group = Annotated[GroupValues, BeforeValidator(_group, json_schema_input_type=GroupValues | Members | None)]
+_Robot = Annotated[RobotValues, BeforeValidator(_robot, json_schema_input_type=RobotValues | Address | None)]
+
+
+class Include(Frozen):
+    """Another inventory whose robots join this one."""
+
+    path: Text = Field(description="The other inventory, relative to this file.")
+    required: bool = Field(default=True, description="false: no such file, no robots, no error.")
+
+
+class InventoryFile(Frozen):
+    """Who the robots are, and what each of them gets."""
+
+    stack: Text = Field(default="docker/compose.yaml", description="Compose file of what runs on the robots.")
+    known_hosts: Text = Field(default="known_hosts", description="Host keys, recorded by `fab trust`.")
+    include: list[Include] | None = Field(
+        default=None, description="Other inventories whose robots join, with their own defaults and groups."
+    )
+    defaults: Values | None = Field(default=None, description="Values for every robot of this file.")
+    groups: Annotated[dict[Name, _Group], _CLOSED] | None = Field(
+        default=None, description="Named sets of robots, with values for them."
+    )
+    robots: Annotated[dict[Name, _Robot], _CLOSED] | None = Field(default=None, description="The robots.")
+
+
+class Robot(Frozen):
+    """One robot with its merged values. ``files``: name below files/ on the robot -> absolute file here.
+
+    ``user``, ``port`` and ``identity_file`` are None where OpenSSH's configuration decides.
+    """
+
+    name: str
+    address: str
+    user: str | None = None
+    port: int | None = None
+    identity_file: Path | None = None
+    platform: Platform = "linux/arm64"
+    ros: Ros = Field(default_factory=Ros)
+    docker: Docker = Field(default_factory=Docker)
+    environment: dict[str, str] = {}
+    files: dict[str, Path] = {}
+    known_hosts: Path = Path("known_hosts")
+
+    def __hash__(self) -> int:
+        """Robots are keys, though their mappings are not hashable."""
+        return hash((self.name, self.address))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inventory:
+    """The fleet: ``robots`` in file order, ``groups`` (``all`` is one) as names of robots in that order."""
+
+    path: Path
+    stack: Path
+    known_hosts: Path
+    robots: Mapping[str, Robot]
+    groups: Mapping[str, tuple[str, ...]]
+
+    def select(self, hosts: str) -> tuple[Robot, ...]:
+        """The robots that ``hosts`` means: a comma list of robots, groups, wildcards; in file order, each once.
+
+        Raises `SelectionError` where an item means nobody, or there is no robot at all.
+        """
+        if not self.robots:
+            cure = "`fab lab.up` starts three virtual Pis, or add yours under `robots:`"
+            raise SelectionError(f"{self.path} names no robots", cure=cure)
+        return tuple(self.robots[name] for name in choose(hosts, robots=self.robots, groups=self.groups))
+
+
+def load(path: Path) -> Inventory:
+    """The inventory in the file at ``path``; raises `InventoryError` that lists every problem of it."""
+    found, problems = merge.gather(path, check=_check)
+    if problems:
+        heading = f"{path} has {len(problems)} problems:\n  " if len(problems) > 1 else ""
+        raise InventoryError(heading + "\n  ".join(problems))
+    return Inventory(
+        path=path,
+        stack=found.stack,
+        known_hosts=found.known_hosts,
+        robots={name: Robot.model_validate(draft.values) for name, draft in found.drafts.items()},
+        groups=found.groups,
+    )
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of an inventory file, for editors."""
+    schema = InventoryFile.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "Fleet inventory"}
+
+
+def _check(document: Document) -> tuple[dict[str, Any], list[merge.Complaint]]:
+    """What the document says, as plain data without what is wrong; and what is wrong with it, where."""
+    file, errors = _validated(document.value)
+    complaints = [(_written_at(error["loc"], document), _sentence(error)) for error in errors]
+    if errors:
+        # The sound rest goes on, so that its problems show in the same run.
+        pairs = zip(errors, complaints, strict=True)
+        unsound = [where[:-1] if error["type"] == "missing" else where for error, (where, _) in pairs]
+        file, _ = _validated(document.without(unsound))
+    always = {"stack": file.stack, "known_hosts": file.known_hosts}
+    return {**file.model_dump(exclude_unset=True), **always}, complaints
+
+
+def _validated(data: object) -> tuple[InventoryFile, list[ErrorDetails]]:
+    try:
+        return InventoryFile.model_validate(data), []
+    except ValidationError as bad:
+        return InventoryFile(), bad.errors(include_url=False)
+
+
+def _written_at(location: tuple[str | int, ...], document: Document) -> Location:
+    """Where validation's location is in the file: short forms have fewer steps."""
+    match location:
+        case (*steps, "[key]"):
+            return tuple(steps)
+        case ("groups", group, "robots", *steps) if document.texts(("groups", group)):
+            return ("groups", group, *steps)
+        case _:
+            return location
+
+
+def _sentence(error: ErrorDetails) -> str:
+    kind, location, value = error["type"], error["loc"], error["input"]
+    if kind == "extra_forbidden":
+        return validation.unknown_key(str(location[-1]), _model_at(location[:-1]).model_fields)
+    if kind == "string_pattern_mismatch":
+        return validation.not_like(error["ctx"]["pattern"], value)
+    if kind == "value_error":
+        return str(error["ctx"]["error"])
+    return validation.wrong(kind, str(location[-1]), value)
+
+
+_Models = dict[str | int, type[Frozen]]
+
+
+def _model_at(location: Location) -> type[Frozen]:
+    if not location:
+        return InventoryFile
+    outer: _Models = {"include": Include, "defaults": Values, "groups": GroupValues, "robots": RobotValues}
+    inner: _Models = {"ros": Ros, "docker": Docker}
+    depth = 1 if location[0] == "defaults" else 2
+    return inner[location[-1]] if len(location) > depth else outer[location[0]]

@@ -1,0 +1,258 @@
+"""Which robots do an inventory file and the files it includes bring together, and which value wins?
+
+Plain data in, plain data out: `fleet.config.inventory` says what may be written and gives the result its types. A robot's
+values, later ones winning: the defaults of its own file, that file's groups, the groups of each including file, itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from fleet.config import yamlfile
+from fleet.config.selection import did_you_mean, is_wildcard, matching
+from fleet.errors import InventoryError
+
+_PLAIN = re.compile(r"[\w-]+")
+
+Plain = dict[str, Any]
+Complaint = tuple[yamlfile.Location, str]
+Check = Callable[[yamlfile.Document], tuple[Plain, list[Complaint]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draft:
+    """A robot in the making: where it is written, what its file and groups say, and what it says itself."""
+
+    place: str
+    shared: Plain
+    own: Plain
+
+    @property
+    def values(self) -> Plain:
+        """The merged values."""
+        return merge(self.shared, self.own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Roster:
+    """What one file and all it includes bring. Paths are absolute; robots and groups are in file order."""
+
+    stack: Path = Path()
+    known_hosts: Path = Path()
+    drafts: dict[str, Draft] = field(default_factory=dict)
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def gather(path: Path, *, check: Check) -> tuple[Roster, tuple[str, ...]]:
+    """What the inventory at ``path`` brings, and everything wrong with it, each as ``file:line: key: sentence``."""
+    found, problems = _read(path, check=check, chain=())
+    clashes = [problem for name, draft in found.drafts.items() for problem in _clashes(name, draft)]
+    return replace(found, groups={**found.groups, "all": tuple(found.drafts)}), (*problems, *clashes)
+
+
+def merge(under: Plain, over: Plain) -> Plain:
+    """Both, ``over`` winning; the mappings inside (ros, docker, environment, files) key by key.
+
+    ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both.
+    """
+    merged = {**under, **over}
+    for key in under.keys() & over.keys():
+        if isinstance(under[key], dict) and isinstance(over[key], dict):
+            replaced = {"hostname", "ip"} if key == "ros" and {"hostname", "ip"} & over[key].keys() else set()
+            merged[key] = {name: value for name, value in under[key].items() if name not in replaced} | over[
+                key
+            ]
+    return merged
+
+
+def key_path(location: yamlfile.Location) -> str:
+    """A location as people write it: ``groups.lidar[1]``."""
+    steps = (
+        f".{step}" if isinstance(step, str) and _PLAIN.fullmatch(step) else f"[{step!r}]" for step in location
+    )
+    return "".join(steps).removeprefix(".")
+
+
+def _clashes(name: str, draft: Draft) -> list[str]:
+    files = draft.values.get("files", {})
+    folders = {str(folder): inner for inner in files for folder in PurePosixPath(inner).parents}
+    return [
+        f"{draft.place}: robots.{name}.files: '{file}' cannot be a file and also the folder of '{folders[file]}'"
+        for file in files
+        if file in folders
+    ]
+
+
+def _read(path: Path, *, check: Check, chain: tuple[Path, ...]) -> tuple[Roster, tuple[str, ...]]:
+    """What the file at ``path`` brings and what is wrong with it; ``chain`` are the files being read around it."""
+    try:
+        source = yamlfile.text(
+            path, error=InventoryError, cure="run `fab` in the folder that has the inventory"
+        )
+        document, duplicates = yamlfile.parse(source, path=path, error=InventoryError)
+    except InventoryError as bad:
+        return Roster(), (str(bad),)
+    file = _File(document, check=check, chain=(*chain, path.resolve()))
+    roster = file.roster()
+    problems = sorted((*duplicates, *file.problems))
+    return roster, (*(f"{path}:{line}: {what}" for line, what in problems), *file.included_problems)
+
+
+class _File:
+    """One file on its way to a `Roster`; what is wrong with it collects in ``problems``."""
+
+    def __init__(self, document: yamlfile.Document, *, check: Check, chain: tuple[Path, ...]) -> None:
+        self.problems: list[yamlfile.Problem] = []
+        self.included_problems: list[str] = []
+        self._document = document
+        self._folder = document.path.parent.resolve()
+        self._check = check
+        self._chain = chain
+        self._drafts: dict[str, Draft] = {}
+        self._groups: dict[str, tuple[str, ...]] = {}
+        self._plain, complaints = check(document)
+        for location, sentence in complaints:
+            self._problem(location, sentence)
+
+    def roster(self) -> Roster:
+        """The robots and groups of this file and of those it includes."""
+        for entry in self._plain.get("include") or ():
+            self._include(entry)
+        self._add_robots()
+        for name, values in (self._plain.get("groups") or {}).items():
+            self._add_group(name, values)
+        return Roster(
+            stack=self._path(self._plain["stack"]),
+            known_hosts=self._path(self._plain["known_hosts"]),
+            drafts=self._drafts,
+            groups=self._groups,
+        )
+
+    def _include(self, entry: Plain) -> None:
+        places = (("include", position, "path") for position in count())
+        location = next(place for place in places if self._document.text(place) == entry["path"])
+        path = self._path(entry["path"])
+        if not _is(path, Path.exists):
+            if entry.get("required", True):
+                self._problem(location, f"no such file: {path}; if it may be missing, say `required: false`")
+            return
+        if path.resolve() in self._chain:
+            self._problem(location, "a file cannot include itself, not by way of another either")
+            return
+        shown = self._document.path.parent / entry["path"]
+        roster, problems = _read(shown, check=self._check, chain=self._chain)
+        self.included_problems += problems
+        for name, draft in roster.drafts.items():
+            if name in self._drafts:
+                self._problem(location, _twin(f"robots.{name} of {draft.place}", self._drafts[name]))
+            self._drafts.setdefault(name, draft)
+        for name, robots in roster.groups.items():
+            self._groups[name] = (*self._groups.get(name, ()), *robots)
+
+    def _add_robots(self) -> None:
+        defaults = self._values(("defaults",), self._plain.get("defaults") or {})
+        defaults["known_hosts"] = self._path(self._plain["known_hosts"])
+        for name, values in (self._plain.get("robots") or {}).items():
+            location = ("robots", name)
+            if name in self._drafts:
+                self._problem(location, _twin("this robot", self._drafts[name]))
+            if name in self._groups:
+                self._problem(location, "an included file has a group of this name; rename one of them")
+            own = self._values(location, {"address": name, **values, "name": name})
+            place = f"{self._document.path}:{self._document.line(location)}"
+            self._drafts[name] = Draft(place=place, shared=defaults, own=own)
+
+    def _add_group(self, name: str, values: Plain) -> None:
+        location = ("groups", name)
+        if name in self._drafts:
+            self._problem(location, f"a robot has this name ({self._drafts[name].place}); rename one of them")
+        patterns = values.pop("robots", None) or ()
+        self._check_members(location, patterns)
+        members = {robot for pattern in patterns for robot in matching(pattern, self._drafts)}
+        members.update(self._groups.get(name, ()))
+        self._groups[name] = tuple(robot for robot in self._drafts if robot in members)
+        shared = self._values(location, values)
+        for robot in self._groups[name]:
+            draft = self._drafts[robot]
+            self._drafts[robot] = replace(draft, shared=merge(draft.shared, shared))
+
+    def _check_members(self, group: yamlfile.Location, names: Sequence[str]) -> None:
+        # A broken robot is reported once, where it is; a broken included file could hold any name.
+        written = self._document.value.get("robots")
+        known = {*self._drafts, *(written if isinstance(written, dict) else ())}
+        groups = {*self._groups, *(self._plain.get("groups") or {}), "all"}
+        for name in names:
+            if is_wildcard(name) or name in known or self.included_problems:
+                continue
+            cure = "a group holds robots, not groups" if name in groups else did_you_mean(name, known)
+            self._problem(self._member(group, name), f"no such robot: {name}" + (f"; {cure}" if cure else ""))
+
+    def _member(self, group: yamlfile.Location, name: str) -> yamlfile.Location:
+        for location in (group, (*group, "robots")):
+            texts = self._document.texts(location)
+            if name in texts:
+                return (*location, texts.index(name))
+        return group
+
+    def _values(self, location: yamlfile.Location, values: Plain) -> Plain:
+        """The values with paths absolute and environment values as text; an empty mapping says nothing."""
+        said = {
+            k: v
+            for k, v in values.items()
+            if v is not None or k not in {"ros", "docker", "environment", "files"}
+        }
+        if said.get("identity_file") is not None:
+            said["identity_file"] = self._path(said["identity_file"])
+        if "environment" in said:
+            said["environment"] = {
+                name: value
+                if isinstance(value, str)
+                else self._document.text((*location, "environment", name))
+                for name, value in said["environment"].items()
+            }
+        if "files" in said:
+            said["files"] = {
+                name: self._file((*location, "files", name), value) for name, value in said["files"].items()
+            }
+        script = said.get("docker", {}).get("script", "")
+        if script and not script.startswith(("https://", "http://")):
+            said["docker"] = {
+                **said["docker"],
+                "script": str(self._file((*location, "docker", "script"), script)),
+            }
+        return said
+
+    def _file(self, location: yamlfile.Location, written: str) -> Path:
+        path = self._path(written)
+        if _is(path, Path.is_dir):
+            self._problem(location, f"{path} is a folder; name its files one by one")
+        elif not _is(path, Path.is_file):
+            self._problem(location, f"no such file: {path}")
+        return path
+
+    def _path(self, written: str) -> Path:
+        """The absolute path, from this file's folder; ``~`` is the person's home."""
+        try:
+            return self._folder / Path(written).expanduser()
+        except RuntimeError:  # nobody of that name here: it stays as written, and is found missing
+            return self._folder / written
+
+    def _problem(self, location: yamlfile.Location, sentence: str) -> None:
+        self.problems.append((self._document.line(location), f"{key_path(location)}: {sentence}"))
+
+
+def _twin(robot: str, other: Draft) -> str:
+    return f"{robot} is in {other.place} already; rename one of them"
+
+
+def _is(path: Path, kind: Callable[[Path], bool]) -> bool:
+    # A name that is too long, or a folder that may not be entered: then it is not there for us.
+    try:
+        return kind(path)
+    except OSError:
+        return False

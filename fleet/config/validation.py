@@ -1,0 +1,154 @@
+"""What may be written where in an inventory, and how is it said when something else is?
+
+Patterns (the models and the JSON Schema use the same ones), each with its sentence, and the plain words for everything
+that validation can find wrong. Only text: nothing is read here.
+"""
+
+from __future__ import annotations
+
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Any
+
+from fleet.config.selection import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+def _whole(pattern: str) -> str:
+    # `$` alone lets a trailing newline pass.
+    return rf"^(?:{pattern})$(?!\n)"
+
+
+_PORT = r"(?:6553[0-5]|655[0-2]\d|65[0-4]\d{2}|6[0-4]\d{3}|[1-5]\d{4}|[1-9]\d{0,3})"
+_RESERVED = r"(?:ROS_MASTER_URI|ROS_HOSTNAME|ROS_IP|ROS_NAMESPACE|COMPOSE_PROJECT_NAME)"
+
+TEXT = r"\S"
+NAME = _whole(r"(?!all$)[A-Za-z0-9][A-Za-z0-9_.-]*")
+MEMBER = _whole(r"[A-Za-z0-9_.*?\[\]!-]+")
+ADDRESS = _whole(r"(?!-)(?:[^\s@/:\[\],]+|[^\s@/:\[\],]*(?::[^\s@/:\[\],]*){2,})")
+USER = _whole(r"(?!-)[^\s@:/]+")
+PLATFORMS = ("linux/arm64", "linux/arm/v7", "linux/amd64")
+MASTER = _whole(rf"own|http://(?:[^\s/:@\[\]]+|\[[0-9A-Fa-f:.]+\]):{_PORT}/?")
+HOSTNAME = _whole(r"[A-Za-z0-9](?:[A-Za-z0-9_.-]*[A-Za-z0-9])?")
+IP = _whole(r"[0-9]{1,3}(?:\.[0-9]{1,3}){3}|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*")
+NAMESPACE = _whole(r"/?[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")
+SHA256 = _whole(r"[0-9A-Fa-f]{64}")
+VERSION = _whole(r"[0-9]+\.[0-9]+\.[0-9]+")
+SIZE = _whole(r"[1-9][0-9]*[kmg]")
+VARIABLE = _whole(rf"(?!{_RESERVED}$|FLEET_)[A-Za-z_][A-Za-z0-9_]*")
+FILE = _whole(r"(?!/)(?!(?:.*/)?\.{1,2}(?:/|$))(?!.*//)(?!.*/$)[^\x00-\x1f\x7f\\]+")
+
+# As JSON Schema: a hostname and an ip, and neither is null.
+BOTH_NAMES: dict[str, Any] = {
+    "properties": {"hostname": {"type": "string"}, "ip": {"type": "string"}},
+    "required": ["hostname", "ip"],
+}
+
+_MUST: Mapping[str, str] = {
+    TEXT: "must not be empty",
+    NAME: "is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+    MEMBER: "must be a robot's name or a wildcard such as 'pi*'",
+    ADDRESS: "must be a host name or an IP address alone; the login goes under `user`, the port under `port`",
+    USER: "must be a login name, without '@', ':' or spaces",
+    MASTER: "must be 'own' or a URI such as http://desktop.local:11311",
+    HOSTNAME: "must be a host name such as pi1.local; an IP address without a name goes under `ip`",
+    IP: "must be an IP address such as 192.168.1.21",
+    NAMESPACE: "must be a ROS name such as 'pi1' or '/site/pi1': letters, digits and '_'",
+    SHA256: "must be 64 hexadecimal digits, as `sha256sum` prints them",
+    VERSION: "must be a full version such as '27.5.1': a shorter one would match several",
+    SIZE: "must be a number and k, m or g, such as '10m'",
+    VARIABLE: "is no name for a variable: letters, digits and '_', not a digit first",
+    FILE: "must be a plain relative path: it stays below files/ on the robot (no '/' first or last, no '.' or '..')",
+}
+
+_ELSEWHERE: Mapping[str, str] = {
+    "ROS_MASTER_URI": "set it as `ros: {master: ...}`",
+    "ROS_HOSTNAME": "set it as `ros: {hostname: ...}`; without it the robot's address is used",
+    "ROS_IP": "set it as `ros: {ip: ...}`",
+    "ROS_NAMESPACE": "set it as `ros: {namespace: ...}`",
+    "COMPOSE_PROJECT_NAME": "set it as `name:` in the stack's Compose file",
+}
+
+_NUMBERS: Mapping[str, str] = {
+    "port": "must be a whole number from 1 to 65535",
+    "log_max_file": "must be a whole number, 1 or more",
+}
+
+_MACHINES: Mapping[str, str] = {
+    "aarch64": "linux/arm64",
+    "arm64": "linux/arm64",
+    "armv7l": "linux/arm/v7",
+    "armhf": "linux/arm/v7",
+    "x86_64": "linux/amd64",
+    "amd64": "linux/amd64",
+}
+
+_KINDS: Mapping[str, str] = {
+    "model_type": "must hold `key: value` lines",
+    "dict_type": "must hold `key: value` lines",
+    "list_type": "must be a list",
+    "bool_type": "must be true or false",
+    "missing": "is missing",
+}
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """The sentence for a key that does not exist, where ``known`` do."""
+    known = tuple(known)
+    return f"no such key; {did_you_mean(key, known) or 'there are: ' + ', '.join(known)}"
+
+
+def not_like(pattern: str, value: str) -> str:
+    """The sentence for text that is not like ``pattern``, one of this module's."""
+    if pattern == NAME and value == "all":
+        return "'all' always means every robot; values for every robot go under `defaults`"
+    if pattern == VARIABLE and value in _ELSEWHERE:
+        return f"fleet sets this variable itself; {_ELSEWHERE[value]}"
+    if pattern == VARIABLE and value.startswith("FLEET_"):
+        return "names that begin with FLEET_ are fleet's own; choose another"
+    return _MUST[pattern]
+
+
+def ip(value: str) -> str:
+    """``value`` where it is an IP address; raises ValueError with the sentence where it is not."""
+    try:
+        ip_address(value)
+    except ValueError:
+        raise ValueError(_MUST[IP]) from None
+    return value
+
+
+def environment_value(value: object) -> str | int | float:
+    """``value`` where it is text or a number; raises ValueError with the sentence where it is not."""
+    if isinstance(value, bool):
+        raise ValueError("YAML reads yes, no, on, off, true and false as a truth value; quote it")  # noqa: TRY004
+    if isinstance(value, str | int | float):
+        return value
+    raise ValueError(
+        "has no value; write '' for an empty one" if value is None else "must be text or a number"
+    )
+
+
+def wrong(kind: str, key: str, value: object) -> str:
+    """The sentence for ``value`` at ``key``; ``kind`` is validation's word for what is wrong with it."""
+    if key in _NUMBERS and kind.startswith(("int_", "greater_", "less_")):
+        return f"{_NUMBERS[key]}, not {_shown(value)}"
+    if kind == "literal_error":
+        hint = did_you_mean(_MACHINES.get(str(value), str(value)), PLATFORMS)
+        return f"must be one of {', '.join(PLATFORMS)}" + (f"; {hint}" if hint else "")
+    if kind == "string_type":
+        cure = "; put it in quotes" if isinstance(value, bool | int | float) else ""
+        return f"must be text, not {_shown(value)}{cure}"
+    return _KINDS[kind]
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, list | dict):
+        return "a list" if isinstance(value, list) else "a mapping"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    said = str(value)
+    return said if len(said) <= 40 else f"{said[:37]}..."

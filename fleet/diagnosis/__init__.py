@@ -1,0 +1,1 @@
+"""What a tool's output means, and what cures the fault."""

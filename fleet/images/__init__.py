@@ -1,0 +1,1 @@
+"""The images of this computer: building, finding, reading them."""

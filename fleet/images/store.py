@@ -1,0 +1,132 @@
+"""The images of this computer's Docker Engine. The only module that imports the Docker SDK."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from typing import TYPE_CHECKING, Any, Self
+
+from fleet.errors import DesktopError, ImageError
+from fleet.plan.step import Bytes, ImageArchive
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterable
+    from types import ModuleType
+
+    import docker
+
+    from fleet.plan.step import Feed
+from fleet.images.identity import identity
+from fleet.images.image import Image, tagged_for
+
+CHUNK = 1 << 20
+"""The most bytes taken from the engine at once."""
+
+PIECE = 128 * 1024
+"""The most bytes sent at once, unless the engine gives more; larger ones would cost the memory allocator more than they save."""
+
+
+class Store:
+    """The local engine's images. Open it with ``with``: one connection to the engine for the whole of a verb."""
+
+    def __init__(self) -> None:
+        import docker  # noqa: PLC0415  takes up to 0.8 s, and most verbs do without it
+
+        try:
+            self._client = _client(docker)
+        except docker.errors.DockerException as problem:
+            raise DesktopError(
+                f"Docker on this computer does not answer: {problem}", cure="see `docker info`"
+            ) from problem
+        self._errors = docker.errors
+        # A classic store stages every archive on this disk first: more at once would only fill it.
+        self._turns = threading.BoundedSemaphore(8)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def find(self, reference: str, platform: str) -> Image:
+        """The local image of that name for that platform: as `tagged_for` names it, else under its own name.
+
+        Raises:
+            ImageError: there is none, or it was made for another platform.
+
+        """
+        wrong = ""
+        for name in (tagged_for(reference, platform), reference):
+            with contextlib.suppress(self._errors.ImageNotFound):
+                found = self._client.images.get(name)
+                made_for = _platform(found.attrs)
+                if made_for == platform:
+                    return Image(
+                        reference=name,
+                        platform=platform,
+                        size=found.attrs["Size"],
+                        identity=identity(found.attrs),
+                    )
+                wrong = f"the image {name} was made for {made_for}, and the robot runs {platform}"
+        raise ImageError(
+            wrong or f"there is no image {reference} for {platform} here", cure="run `fab build`"
+        )
+
+    def open(self, feed: Feed) -> Iterable[bytes]:
+        """The bytes of a step's feed: an image's archive comes out of the engine as it is read."""
+        if isinstance(feed, ImageArchive):
+            return self.archive(feed.image, feed.reference)
+        if isinstance(feed, Bytes):
+            return (feed.data,)
+        raise TypeError(f"{feed.label} is opened by fleet.transfer.sender")
+
+    def export(self, image: Image) -> Generator[bytes]:
+        """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""
+        try:
+            yield from self._client.api.get_image(image.reference, chunk_size=CHUNK)
+        except (self._errors.DockerException, OSError) as problem:
+            raise DesktopError(f"reading image {image.reference} from Docker failed: {problem}") from problem
+
+    def archive(self, local: str, reference: str) -> Generator[bytes]:
+        """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.
+
+        Raises:
+            DesktopError: the engine fails on the way.
+
+        """
+        try:
+            with self._turns:
+                self._client.images.get(local).tag(
+                    reference
+                )  # an archive carries the name it is asked for by
+                yield from _gathered(self._client.api.get_image(reference, chunk_size=CHUNK))
+        except (self._errors.DockerException, OSError) as problem:
+            raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
+
+
+def _client(sdk: ModuleType) -> docker.DockerClient:
+    """A client for the engine that the docker command line would use: DOCKER_HOST, else the current context."""
+    make = sdk.DockerClient.from_env if os.environ.get("DOCKER_HOST") else sdk.DockerClient.from_context
+    client: docker.DockerClient = make(version="auto")
+    return client
+
+
+def _gathered(pieces: Iterable[bytes]) -> Generator[bytes]:
+    """The same bytes in pieces of up to `PIECE`: the engine's own, of 32 KiB, each take two packets of SSH."""
+    held: list[bytes] = []
+    size = 0
+    for piece in pieces:
+        if held and size + len(piece) > PIECE:
+            yield b"".join(held)
+            held, size = [], 0
+        held.append(piece)
+        size += len(piece)
+    yield b"".join(held)
+
+
+def _platform(attributes: dict[str, Any]) -> str:
+    """Docker's name of an image's platform; every 32-bit ARM image is taken for v7 unless it says otherwise."""
+    architecture = attributes["Architecture"]
+    variant = attributes.get("Variant") or ("v7" if architecture == "arm" else "")
+    return "/".join(filter(None, (attributes["Os"], architecture, variant if architecture == "arm" else "")))

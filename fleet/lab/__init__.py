@@ -1,0 +1,1 @@
+"""Virtual Pis: a fleet without owning one."""

@@ -1,0 +1,1 @@
+"""Which steps bring a robot where it should be. Pure: values in, values out."""

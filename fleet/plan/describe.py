@@ -1,0 +1,65 @@
+"""How do a plan and an outcome read as text?"""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fleet.plan.outcome import Outcome
+    from fleet.plan.step import Plan, Step
+
+from fleet.units import human_bytes, human_seconds
+
+LONG_SCRIPT = 15
+"""Lines of a script that are shown; of a longer one the first, which is a comment."""
+
+
+def headline(outcome: Outcome) -> str:
+    """What became of a robot, in the line that its name begins."""
+    if outcome.good:
+        took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
+        sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
+        sent += f" ({outcome.way})" if outcome.way else ""
+        return f"{outcome.summary}{sent}{took}"
+    first = outcome.reason.splitlines()[0] if outcome.reason else ""
+    return f"{outcome.step}: {first}" if outcome.step else first
+
+
+def details(outcome: Outcome) -> list[str]:
+    """What is told below the robot's line: the rest of the reason (log lines), then the cure."""
+    if outcome.good:
+        return []
+    lines = [f"  | {line}" for line in outcome.reason.splitlines()[1:]]
+    return [*lines, f"  cure: {outcome.cure}"] if outcome.cure else lines
+
+
+def lines(plan: Plan) -> list[str]:
+    """The plan as the text that ``--dry`` prints: a heading, then each command as one could type it on the robot."""
+    sends = f", sends {human_bytes(plan.size)}" if plan.size else ""
+    text = [
+        f"{plan.robot}: {plan.summary}{sends}" if plan.steps else f"{plan.robot}: unchanged, {plan.summary}"
+    ]
+    for number, step in enumerate(plan.steps, start=1):
+        text += [f"  {number}. {step.title}", _command(step)]
+    if plan.forecast and plan.steps:
+        text.insert(1, f"  {plan.forecast}")
+    for step in (*plan.explain, *plan.recover):
+        text += [f"  if a step fails: {step.title}", _command(step)]
+    for step in plan.afterwards:
+        text += [f"  when all is well: {step.title}", _command(step)]
+    if plan.record and plan.steps:
+        text += ["  at the end: one line into ~/.fleet/history"]
+    return text
+
+
+def _command(step: Step) -> str:
+    fed = f"   # reads {step.feed.label}, {human_bytes(step.feed.size)}" if step.feed else ""
+    return f"     $ {shlex.join(map(_shown, step.argv))}{fed}"
+
+
+def _shown(argument: str) -> str:
+    """A script that is a page long by its first line, which says what it does."""
+    first, _, rest = argument.partition("\n")
+    count = rest.count("\n") + 1
+    return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

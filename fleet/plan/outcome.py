@@ -1,0 +1,49 @@
+"""What became of one robot?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from fleet.errors import Unreachable
+
+if TYPE_CHECKING:
+    from fleet.errors import FleetError
+
+Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
+
+    ``way`` is how images were sent, and why so where another way had failed. ``unusable``: what was sent arrived, and the robot's
+    Docker cannot use it; another way of sending may help.
+    """
+
+    robot: str
+    status: Status
+    summary: str = ""
+    step: str = ""
+    reason: str = ""
+    cure: str = ""
+    seconds: float = 0.0
+    sent: int = 0
+    way: str = ""
+    unusable: bool = False
+
+    @property
+    def good(self) -> bool:
+        """Whether the robot is as the person asked."""
+        return self.status in ("done", "unchanged")
+
+
+def failure(robot: str, problem: FleetError) -> Outcome:
+    """The outcome of a robot whose work ended in an error."""
+    status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
+    return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
+
+
+def exit_code(outcomes: tuple[Outcome, ...]) -> int:
+    """0 when every robot is as asked, else 1."""
+    return 0 if all(outcome.good for outcome in outcomes) else 1

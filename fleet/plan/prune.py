@@ -1,0 +1,92 @@
+"""What may be removed from a robot: which releases and images of fleet's own does nobody need any more?
+
+The current release and the one before it are never removed, nor any image that a release which stays runs.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from fleet.plan.step import Plan, Record, Step
+from fleet.robot import history, paths
+from fleet.units import human_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from fleet.config.inventory import Robot
+    from fleet.robot.facts import Facts
+
+KEEP = 3
+"""Releases that stay on a robot."""
+
+LEAST = 2
+"""The current release, and the one to go back to."""
+
+_OURS = re.compile(r".+:fleet-[0-9a-f]{12}")
+
+
+def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
+    """The steps that leave a robot with its ``keep`` newest releases."""
+    steps = after(facts, keep=keep)
+    if not steps:
+        return Plan(robot=robot.name, summary=f"nothing is older than its newest {max(keep, LEAST)} releases")
+    return Plan(
+        robot=robot.name,
+        summary=" and ".join(step.title for step in steps),
+        steps=steps,
+        forecast=_frees(steps, facts),
+        record=Record(verb="prune", release=facts.current, by=by),
+    )
+
+
+def _frees(steps: Iterable[Step], facts: Facts) -> str:
+    """Docker tells no more without measuring the disk, which takes minutes on a card."""
+    size = sum(facts.stock.sizes.get(name, 0) for step in steps for name in step.argv)
+    return f"frees {human_bytes(size)} at most: layers that other images share stay" if size else ""
+
+
+def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:
+    """The steps that remove what is old; ``shipped`` is a release that has become current since, with its ``images``."""
+    ranked = list(dict.fromkeys(filter(None, (shipped, facts.current, *_newest_first(facts)))))
+    stay = ranked[: max(keep, LEAST)]
+    gone = sorted(set(facts.releases) - set(stay))
+    pins = {**facts.stock.pins, **({shipped: tuple(images)} if shipped else {})}
+    old: list[str] = []
+    if all(release in pins for release in stay if release in {*facts.releases, shipped}):
+        needed = {name for release in stay for name in pins.get(release, ())}
+        old = sorted(name for name in facts.images if _OURS.fullmatch(name) and name not in needed)
+    return (*_forget(gone), *_remove(old))
+
+
+def _newest_first(facts: Facts) -> tuple[str, ...]:
+    """Releases that have run, the last one first; those that never did come after them, in no order."""
+    ran = [event.release for event in history.history(facts.history) if event.outcome == "done"]
+    return tuple(release for release in (*reversed(ran), *facts.releases) if release in facts.releases)
+
+
+def _forget(releases: list[str]) -> tuple[Step, ...]:
+    if not releases:
+        return ()
+    folders = (paths.folder(release) for release in releases)
+    return (Step(title=f"remove {_count(releases, 'release')}", argv=("rm", "-rf", *folders), harmless=True),)
+
+
+def _remove(images: list[str]) -> tuple[Step, ...]:
+    if not images:
+        return ()
+    receipts = (f"{paths.HOME}/receipts/{name.rpartition(':fleet-')[2]}" for name in images)
+    return (
+        Step(
+            title=f"remove {_count(images, 'image')}",
+            argv=("docker", "image", "rm", *images),
+            limit=120.0,
+            harmless=True,
+        ),
+        Step(title="forget what they were made of", argv=("rm", "-f", *receipts), harmless=True),
+    )
+
+
+def _count(things: list[str], name: str) -> str:
+    return f"{len(things)} old {name}{'s' * (len(things) != 1)}"

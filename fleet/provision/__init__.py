@@ -1,0 +1,1 @@
+"""Which steps make a blank robot ready for containers."""

@@ -1,0 +1,298 @@
+"""Which steps make a robot ready for containers? From a fresh operating system, or from a half-done attempt.
+
+Only what is not right already gets a step. Docker comes from its convenience script, which the desktop fetched and
+sends; where Docker is there, the script is not run again: it would restart the robot's containers. An exit code of 0
+proves nothing here (the script gives it for much that failed), so the last steps prove the whole on a new login.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from typing import TYPE_CHECKING
+
+from fleet.errors import NotReady
+from fleet.plan.step import Bytes, Plan, Record, Step
+from fleet.provision import apt, daemon_json, sudo
+from fleet.provision.sudo import as_root
+from fleet.robot.paths import HOME
+from fleet.units import human_bytes
+
+if TYPE_CHECKING:
+    from fleet.config.inventory import Robot
+    from fleet.robot.facts import Facts
+
+ROOM = 1_000_000_000
+"""Free space in bytes that an installation needs: packages, what they unpack to, and some air."""
+
+CLOCK_MAY_DIFFER = 60.0
+"""Seconds. A Pi has no clock of its own; apt and TLS refuse what seems to come from the future."""
+
+_USUAL = apt.Bounds()
+_CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
+"""Packages of Debian and Ubuntu whose files Docker's own packages bring too; dpkg then installs neither."""
+
+SCRIPT = f"{HOME}/get-docker.sh"
+PROOF_IMAGE = "fleet-proof"
+
+_SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
+_GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
+_RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
+_IS_THERE = (
+    "command -v docker || { echo 'the script ended without an error, and installed nothing' >&2; exit 1; }"
+)
+_FORGET = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
+
+# An image of the robot's own /bin/true and its libraries: no registry is needed, and its architecture is the robot's.
+_CONTAINER = r"""
+{ echo bin/true; ldd /bin/true | grep -o "/[^ ]*" | cut -c2-; } | tar -ch -C / -T - | docker import - "$1" > /dev/null &&
+  docker run --rm --network none "$1" /bin/true
+code=$?; docker image rm "$1" > /dev/null; exit $code
+"""
+
+# systemctl only says that Docker did not start; the reason stands in the journal.
+_REASONS = (
+    "systemctl is-active --quiet docker"
+    " || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2> /dev/null"
+)
+
+
+def plan(
+    *,
+    robot: Robot,
+    facts: Facts,
+    script: bytes,
+    now: float,
+    by: str,
+    bounds: apt.Bounds = _USUAL,
+) -> Plan:
+    """The steps from what the robot has (``facts``) to Docker that works for this login; none where it does.
+
+    ``script`` is Docker's convenience script; it may be empty where `needs_script` says no. ``now`` is the right time,
+    in seconds since the epoch.
+
+    Raises:
+        NotReady: the robot cannot be made ready from here; with what a person has to do.
+
+    """
+    _fits(robot, facts)
+    _pin(robot, facts)
+    rotation = daemon_json.steps(robot, facts)
+    install = _installation(robot, facts, script=script, bounds=bounds)
+    if install:
+        _room(facts)
+    changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts))
+    zstd = apt.zstd(facts=facts, bounds=bounds)
+    steps = changes or zstd
+    if not steps:
+        return Plan(robot=robot.name, summary=f"Docker {facts.docker} with Compose {facts.compose}")
+    sudo.check(facts)
+    return Plan(
+        robot=robot.name,
+        summary=_summary(robot, facts),
+        steps=(*steps, *_proof(robot)),
+        explain=(_why(facts),),
+        recover=(_forget(facts),) if needs_script(facts) else (),
+        afterwards=zstd if changes else (),
+        record=Record(verb="provision", release="", by=by),
+    )
+
+
+def needs_script(facts: Facts) -> bool:
+    """Whether Docker's convenience script has to run: there is no Docker, from whatever source."""
+    return facts.engine == "absent" and not _engine_package(facts)
+
+
+def _engine_package(facts: Facts) -> str:
+    return next((name for name in ("docker-ce", "docker.io") if name in facts.packages), "")
+
+
+def _summary(robot: Robot, facts: Facts) -> str:
+    installed = facts.docker or facts.client
+    which = f"Docker {robot.docker.version or 'installed'}" if not installed else f"Docker {installed}"
+    return f"{which}, ready for {facts.login}"
+
+
+def _fits(robot: Robot, facts: Facts) -> None:
+    if robot.platform in facts.platforms:
+        return
+    if not facts.platforms:
+        raise NotReady(f"its processor is {facts.machine or 'unknown'}, for which there are no images")
+    fitting = f"set `platform: {facts.platforms[0]}` for {robot.name} in the inventory"
+    if facts.machine == "aarch64" and facts.platforms[0] == "linux/arm/v7":
+        raise NotReady(
+            f"its kernel is 64-bit and its system ({facts.os}) is 32-bit, and the inventory says {robot.platform}",
+            cure=f"write the 64-bit Raspberry Pi OS to its SD card, or {fitting}",
+        )
+    raise NotReady(
+        f"it runs {' and '.join(facts.platforms)}, and the inventory says {robot.platform}", cure=fitting
+    )
+
+
+def _pin(robot: Robot, facts: Facts) -> None:
+    pin, installed = robot.docker.version, facts.docker or facts.client
+    if not pin or not installed or _numbers(pin) == _numbers(installed):
+        return
+    remove = "remove it there (its containers stop; images stay), then provision again"
+    if _numbers(pin) < _numbers(installed):
+        raise NotReady(
+            f"Docker {installed} is installed, and the inventory pins {pin}: fleet does not downgrade",
+            cure=f"change the pin; or {remove}",
+        )
+    raise NotReady(
+        f"Docker {installed} is installed, and the inventory pins {pin}: an upgrade would restart its containers",
+        cure=f"upgrade it there when that suits (`sudo apt-get install --only-upgrade "
+        f"{_engine_package(facts) or 'docker-ce'}`); or {remove}",
+    )
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """``26.1.5+dfsg1`` -> (26, 1, 5)."""
+    return tuple(int(part) for part in re.split(r"[^0-9.]", version)[0].split(".") if part)
+
+
+def _room(facts: Facts) -> None:
+    if facts.disk_size and facts.disk_free < ROOM:
+        raise NotReady(
+            f"it needs {human_bytes(ROOM)} of free disk, and has {human_bytes(facts.disk_free)}",
+            cure="free some: `sudo apt-get clean` there, `sudo du -xh / | sort -h | tail` shows what is large",
+        )
+
+
+def _clock(facts: Facts, *, now: float) -> tuple[Step, ...]:
+    if abs(facts.clock - now) <= CLOCK_MAY_DIFFER:
+        return ()
+    return (
+        Step(title="set the clock", argv=as_root(facts, "date", "--utc", "--set", f"@{now:.0f}"), limit=20.0),
+    )
+
+
+def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
+    """Install what is missing: Docker by its script, or the packages that an installed one lacks."""
+    if needs_script(facts):
+        steps = _by_script(robot, facts, script=script, bounds=bounds)
+    else:
+        steps = _by_packages(facts, bounds=bounds)
+    broken = facts.interrupted and (steps or facts.engine == "stopped")
+    return (
+        *((apt.reachable(),) if steps else ()),
+        *((apt.repair(facts=facts, bounds=bounds),) if broken else ()),
+        *steps,
+    )
+
+
+def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
+    clashing = tuple(name for name in facts.packages if name in _CLASHING)
+    remove = apt.patiently(
+        f"remove {' and '.join(clashing)}, which clash with Docker's own packages",
+        (*apt.REMOVE, *clashing),
+        facts=facts,
+        bounds=bounds,
+    )
+    pin = ("--version", robot.docker.version) if robot.docker.version else ()
+    run = ("sh", SCRIPT, *pin)
+    title = f"install Docker{' '.join(('', *pin[1:]))}, which takes minutes"
+    return (
+        *((_forget(facts),) if facts.docker_source else ()),
+        *((remove,) if clashing else ()),
+        _send(robot, script),
+        apt.patiently(title, run, facts=facts, bounds=bounds),
+        Step(
+            title="prove that the script installed it",
+            argv=("sh", "-c", _IS_THERE),
+            limit=20.0,
+            cure=f"`sudo sh -x {SCRIPT}` there shows what it does",
+        ),
+        Step(title="remove the script", argv=("rm", "-f", SCRIPT), limit=20.0),
+    )
+
+
+def _by_packages(facts: Facts, *, bounds: apt.Bounds) -> tuple[Step, ...]:
+    client = "docker-ce-cli" if _engine_package(facts) == "docker-ce" else "docker-cli"
+    add_client = apt.patiently(f"install {client}", (*apt.INSTALL, client), facts=facts, bounds=bounds)
+    add_compose = apt.patiently(
+        "install Docker's Compose plugin",
+        apt.COMPOSE_PLUGIN,
+        facts=facts,
+        bounds=bounds,
+        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then provision again",
+    )
+    return (
+        *((add_client,) if facts.engine == "absent" else ()),
+        *((add_compose,) if not facts.compose else ()),
+    )
+
+
+def _send(robot: Robot, script: bytes) -> Step:
+    """Send the script and prove that it arrived whole."""
+    digest = hashlib.sha256(script).hexdigest()
+    return Step(
+        title=f"send Docker's script ({robot.docker.script})",
+        argv=("sh", "-c", _SEND, "sh", SCRIPT),
+        feed=Bytes(label=f"the script, sha256 {digest}", data=script),
+        expect=f"{digest}  {SCRIPT}",
+    )
+
+
+def _login(facts: Facts) -> tuple[Step, ...]:
+    member = "docker" in facts.groups or facts.login in (facts.docker_group or ())
+    if member or facts.sudo == "root" or facts.engine == "ready":
+        return ()
+    return (
+        Step(
+            title=f"let {facts.login} use Docker",
+            argv=as_root(facts, "sh", "-c", _GROUP, "sh", facts.login),
+            limit=20.0,
+        ),
+    )
+
+
+def _boot(facts: Facts) -> tuple[Step, ...]:
+    if facts.engine == "ready" and facts.starts_at_boot:
+        return ()
+    if facts.engine == "stopped":
+        # systemd refuses to start what failed several times within a minute, until told to forget it.
+        argv = as_root(facts, "sh", "-c", _RESTART)
+    else:
+        argv = as_root(facts, "systemctl", "enable", "--now", "docker")
+    return (Step(title="start Docker now and at every boot", argv=argv, limit=120.0),)
+
+
+def _proof(robot: Robot) -> tuple[Step, ...]:
+    """Prove, on a new login, that everything `plan` promises is so."""
+    version = ("docker", "version", "--format", '{{index (split .Server.Version "+") 0}}')
+    return (
+        Step(
+            title="prove that Docker answers this login",
+            argv=version,
+            expect=robot.docker.version,
+            fresh_login=True,
+        ),
+        Step(title="prove that Compose is there", argv=("docker", "compose", "version")),
+        Step(
+            title="prove that Docker starts at boot",
+            argv=("systemctl", "is-enabled", "docker"),
+            expect="enabled",
+            limit=20.0,
+        ),
+        Step(
+            title="prove that a container runs",
+            argv=("sh", "-c", _CONTAINER, "sh", PROOF_IMAGE),
+            limit=120.0,
+        ),
+    )
+
+
+def _forget(facts: Facts) -> Step:
+    """A package source that a failed installation left makes every later ``apt-get update`` fail."""
+    return Step(
+        title="forget Docker's package source",
+        argv=as_root(facts, "sh", "-c", _FORGET),
+        limit=20.0,
+    )
+
+
+def _why(facts: Facts) -> Step:
+    return Step(
+        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _REASONS), limit=20.0
+    )

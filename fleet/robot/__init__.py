@@ -1,0 +1,1 @@
+"""What a robot has, and what it should have."""

@@ -1,0 +1,110 @@
+"""How do many robots get their plans, and what became of each?
+
+`each` runs one piece of work per robot in a bounded pool of threads. A robot's failure is its outcome, never the
+others'. Ctrl-C closes every connection, and says what became of each robot.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from fleet.errors import FleetError
+from fleet.plan.outcome import Outcome, failure
+from fleet.rollout.link import Link
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from fleet.config.inventory import Robot
+    from fleet.rollout.progress import Progress
+
+AT_ONCE = 32
+"""Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
+
+
+def each(
+    robots: Sequence[Robot],
+    work: Callable[[Link], Outcome],
+    *,
+    watch: Progress,
+    at_once: int = AT_ONCE,
+) -> tuple[Outcome, ...]:
+    """Run ``work`` for every robot, at most ``at_once`` at a time; an outcome for each, in the order of ``robots``."""
+    lines = [Link(robot) for robot in robots]
+    todo: queue.SimpleQueue[Link] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
+    for line in lines:
+        todo.put(line)
+    for _ in range(min(at_once, len(lines))):
+        # Daemons, because Python would wait at its end for a thread that is still connecting.
+        threading.Thread(target=_work_off, args=(todo, done, work), daemon=True).start()
+    outcomes: dict[str, Outcome] = {}
+    try:
+        _collect(done, outcomes, until=len(lines), watch=watch)
+    except KeyboardInterrupt:
+        for line in lines:
+            line.close()
+            name = line.robot.name
+            if name not in outcomes:
+                outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
+                watch.ended(outcomes[name])
+    except BrokenPipeError:  # nobody reads any more what the robots say
+        for line in lines:
+            line.close()
+        raise
+    return tuple(outcomes[line.robot.name] for line in lines)
+
+
+def _work_off(
+    todo: queue.SimpleQueue[Link],
+    done: queue.SimpleQueue[Outcome | BaseException],
+    work: Callable[[Link], Outcome],
+) -> None:
+    while True:
+        try:
+            line = todo.get_nowait()
+        except queue.Empty:
+            return
+        try:
+            done.put(_one(line, work))
+        except BaseException as bug:  # noqa: BLE001  raised in the thread that can show it
+            done.put(bug)
+        finally:
+            line.close()
+
+
+def _collect(
+    done: queue.SimpleQueue[Outcome | BaseException],
+    outcomes: dict[str, Outcome],
+    *,
+    until: int,
+    watch: Progress,
+) -> None:
+    bugs: list[BaseException] = []
+    while len(outcomes) + len(bugs) < until:
+        try:
+            came = done.get(timeout=0.5)  # a wait without end would not notice Ctrl-C
+        except queue.Empty:
+            continue
+        if isinstance(came, Outcome):
+            outcomes[came.robot] = came
+            watch.ended(came)
+        elif isinstance(came, BrokenPipeError):
+            raise came
+        else:
+            bugs.append(came)
+    if bugs:
+        raise bugs[0]
+
+
+def _one(line: Link, work: Callable[[Link], Outcome]) -> Outcome:
+    started = time.monotonic()
+    try:
+        outcome = work(line)
+    except FleetError as problem:
+        outcome = failure(line.robot.name, problem)
+    return replace(outcome, seconds=time.monotonic() - started)

@@ -1,0 +1,1 @@
+"""The ROS environment of a robot, and how to listen to its topics."""

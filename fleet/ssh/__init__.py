@@ -1,0 +1,1 @@
+"""How a command or a stream of bytes reaches a robot."""

@@ -1,0 +1,268 @@
+"""Which layers has this computer packed for sending, and how are others got out of its Docker?
+
+Files in ``~/.cache/fleet/layers``: a layer's packed bytes under their own digest, and beside them, under the layer's diff ID,
+a line that tells of them. They are made once, whoever needs them, and may be removed at any time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import tarfile
+import tempfile
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from fleet.errors import DesktopError
+from fleet.images.layer import PLAIN, Blob
+from fleet.transfer import codec
+from fleet.transfer.codec import ENCODINGS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator
+
+    from fleet.images.image import Image
+    from fleet.transfer.codec import Encoding
+
+    Export = Callable[[Image], Iterable[bytes]]
+
+MOST = 20_000_000_000
+"""Bytes that the cache may hold when a run ends."""
+
+_CHUNK = 1 << 20
+_SMALL = 4_000_000
+"""An image's configuration is smaller."""
+
+
+def folder() -> Path:
+    """The cache's directory; ``XDG_CACHE_HOME`` moves it."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "layers"
+
+
+class LayerCache:
+    """Packed layers. ``export`` gives an image's archive as ``docker save`` writes it, in pieces."""
+
+    def __init__(self, *, directory: Path, export: Export) -> None:
+        self._directory = directory
+        self._export = export
+        self._turn = threading.Lock()  # the engine's archive is made once, whoever needs it
+        self._names: dict[str, str] = {}
+
+    def pack(self, image: Image, diff_ids: Iterable[str], encoding: Encoding) -> dict[str, Blob]:
+        """The layers ``diff_ids`` of an image, packed: from the cache, or else out of the engine.
+
+        Raises:
+            DesktopError: the engine fails, its archive lacks a layer, or there is no room for it.
+
+        """
+        wanted = tuple(diff_ids)
+        with self._turn, _explained():
+            known = {one: self._known(one, encoding) for one in wanted}
+            missing = {one for one, blob in known.items() if blob is None}
+            if missing:
+                self._unpack(image, missing, encoding)
+            found = {one: blob or self._known(one, encoding) for one, blob in known.items()}
+        blobs = {one: blob for one, blob in found.items() if blob}
+        if len(blobs) < len(found):
+            raise DesktopError(f"the archive of {image.reference} lacks layers", cure="run `fab build` again")
+        return blobs
+
+    def config(self, image: Image) -> bytes:
+        """An image's configuration, byte for byte: its digest is the image's identity. Raises as `pack`."""
+        path = self._directory / f"{image.fingerprint}.config"
+        with self._turn, _explained():
+            if not path.exists():
+                self._unpack(image, set(), None)
+            os.utime(path)
+            return path.read_bytes()
+
+    def open(self, digest: str) -> IO[bytes]:
+        """The packed bytes of that digest (hex). Raises ``DesktopError`` where somebody has removed them."""
+        try:
+            return (self._directory / digest).open("rb")
+        except OSError as problem:
+            what = f"a packed layer is gone from {self._directory}: {problem.strerror}"
+            raise DesktopError(what, cure="run the same command again") from problem
+
+    def tidy(self, *, most: int = MOST) -> None:
+        """Remove what was not used for longest, until at most so many bytes are left."""
+        with contextlib.suppress(OSError):
+            files = sorted(
+                (path.stat().st_mtime, path.stat().st_size, path) for path in self._directory.iterdir()
+            )
+            over = sum(size for _, size, _ in files) - most
+            for _, size, path in files:
+                if over > 0:
+                    path.unlink(missing_ok=True)
+                    over -= size
+
+    @contextlib.contextmanager
+    def unpacked(self, diff_id: str) -> Generator[IO[bytes] | None]:
+        """The tar of a layer that was packed here, as a file that goes away; None where it was not, or is gone."""
+        packed = next(filter(None, (self._known(diff_id, encoding) for encoding in ENCODINGS)), None)
+        with _explained(), contextlib.ExitStack() as stack:
+            whole = None
+            if packed:
+                content = stack.enter_context(self.open(packed.hex))
+                whole = stack.enter_context(tempfile.TemporaryFile(dir=self._directory))
+                whole.writelines(_inflated(content.read(_CHUNK), content))
+            yield whole
+
+    def keep(self, write: Callable[[IO[bytes]], object]) -> tuple[str, int]:
+        """Keep what ``write`` writes into a file, under its digest; that (hex) and its size in bytes."""
+        handle, part = tempfile.mkstemp(dir=self._directory, prefix=".part-")
+        with _explained():
+            try:
+                with os.fdopen(handle, "w+b") as out:
+                    write(out)
+                    out.seek(0)
+                    digest, size = hashlib.file_digest(out, "sha256").hexdigest(), out.tell()
+                Path(part).replace(self._directory / digest)
+            finally:
+                Path(part).unlink(missing_ok=True)
+        return digest, size
+
+    def size(self, digest: str) -> int:
+        """Bytes of what is kept under a digest (hex). Raises ``OSError`` where nothing is."""
+        os.utime(self._directory / digest)
+        return (self._directory / digest).stat().st_size
+
+    def noted(self, name: str) -> str:
+        """A note that was kept. Raises ``OSError`` where there is none."""
+        return (self._directory / name).read_text(encoding="utf-8")
+
+    def note(self, name: str, text: str) -> None:
+        """Keep a note, whole or not at all: another run may read it."""
+        part = self._directory / f".{name}.{os.getpid()}.{threading.get_ident()}"
+        part.write_text(text, encoding="utf-8")
+        part.replace(self._directory / name)
+
+    def _known(self, diff_id: str, encoding: Encoding) -> Blob | None:
+        with contextlib.suppress(OSError, ValueError, TypeError):
+            blob = Blob(**json.loads(self.noted(_name(diff_id, encoding))))
+            if self.size(blob.hex) == blob.size:
+                return blob
+        return None
+
+    def _unpack(self, image: Image, missing: set[str], encoding: Encoding | None) -> None:
+        """Read the engine's archive once: keep the configuration, pack the layers that are missing."""
+        self._directory.mkdir(parents=True, exist_ok=True)
+        small: dict[str, bytes] = {}
+        with contextlib.suppress(OSError, ValueError):
+            self._names |= json.loads(self.noted("names"))
+        stream = io.BufferedReader(_Pieces(self._export(image)), _CHUNK)
+        with tarfile.open(fileobj=stream, mode="r|", bufsize=_CHUNK) as archive:
+            for member in archive:
+                content = archive.extractfile(member) if member.isfile() else None
+                if content is None:
+                    continue
+                if member.size <= _SMALL:
+                    small[member.name] = content.read()
+                    content = io.BytesIO(small[member.name])
+                if encoding:
+                    self._layer(member.name, content, missing, encoding)
+            stream.read()  # the engine ends its answer well
+        self._keep_config(image, small)
+        self.note("names", json.dumps(self._names))
+
+    def _keep_config(self, image: Image, small: dict[str, bytes]) -> None:
+        try:
+            config = small[json.loads(small["manifest.json"])[0]["Config"]]
+        except (KeyError, IndexError, TypeError, ValueError) as problem:
+            raise DesktopError(f"the archive of {image.reference} names no configuration") from problem
+        self.note(f"{image.fingerprint}.config", config.decode())
+
+    def _layer(self, name: str, content: IO[bytes], missing: set[str], encoding: Encoding) -> None:
+        """Pack a member of the archive, and keep it where it is a layer that is missing.
+
+        From Docker 25 on a plain layer's name is its digest; before, and where it is packed, only its bytes tell, and
+        its name the next time: Docker derives it from the layers up to that one.
+        """
+        first = content.read(_CHUNK)
+        digest = name.removeprefix("blobs/sha256/")
+        plain = f"sha256:{digest}" if digest != name and not codec.is_packed(first) else self._names.get(name)
+        if plain and plain not in missing:
+            return
+        handle, part = tempfile.mkstemp(dir=self._directory, prefix=".part-")
+        try:
+            with os.fdopen(handle, "wb") as out:
+                blob = _pack(_inflated(first, content), out, encoding)
+            self._names[name] = blob.diff_id
+            if blob.diff_id in missing:
+                Path(part).replace(self._directory / blob.hex)
+                self.note(_name(blob.diff_id, encoding), json.dumps(asdict(blob)))
+        finally:
+            Path(part).unlink(missing_ok=True)
+
+
+def _name(diff_id: str, encoding: Encoding) -> str:
+    return f"{diff_id.removeprefix('sha256:')}.{encoding}.json"
+
+
+def _pack(chunks: Iterable[bytes], out: IO[bytes], encoding: Encoding) -> Blob:
+    """Write a layer's tar packed, and tell what it has become."""
+    compressor = codec.Compressor(encoding)
+    plain, packed = hashlib.sha256(), hashlib.sha256()
+    unpacked = size = 0
+
+    def put(data: bytes) -> None:
+        nonlocal size
+        size += len(data)
+        packed.update(data)
+        out.write(data)
+
+    for chunk in chunks:
+        plain.update(chunk)
+        unpacked += len(chunk)
+        put(compressor.compress(chunk))
+    put(compressor.flush())
+    return Blob(
+        diff_id=f"sha256:{plain.hexdigest()}",
+        digest=f"sha256:{packed.hexdigest()}",
+        size=size,
+        media_type=f"{PLAIN}+{encoding.partition('-')[0]}",
+        unpacked=unpacked,
+    )
+
+
+def _inflated(first: bytes, rest: IO[bytes]) -> Iterator[bytes]:
+    """The bytes of a layer's tar: a containerd store keeps layers packed as they were pulled."""
+    inflate = codec.inflater(first)
+    yield inflate(first)
+    while chunk := rest.read(_CHUNK):
+        yield inflate(chunk)
+
+
+class _Pieces(io.RawIOBase):
+    """Pieces of bytes, to be read as a file."""
+
+    def __init__(self, pieces: Iterable[bytes]) -> None:
+        self._pieces = iter(pieces)
+        self._rest = b""
+
+    def readable(self) -> bool:
+        """See ``io.IOBase.readable``."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:  # noqa: ANN401  Python has no name for a buffer before 3.12
+        """See ``io.RawIOBase.readinto``."""
+        view = memoryview(buffer)
+        self._rest = self._rest or next(self._pieces, b"")
+        count = min(len(view), len(self._rest))
+        view[:count] = self._rest[:count]
+        self._rest = self._rest[count:]
+        return count
+
+
+@contextlib.contextmanager
+def _explained() -> Generator[None]:
+    try:
+        yield
+    except (OSError, tarfile.TarError, *codec.DAMAGED) as problem:
+        what = f"packing layers for sending failed: {problem}"
+        raise DesktopError(what, cure="is there room in ~/.cache?") from problem

@@ -1,0 +1,73 @@
+"""Robots that are real SSH servers on this computer, each with a home of its own in a temporary folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from fleet.config.inventory import Robot
+    from fleet.plan.outcome import Outcome
+    from tests.support.sshd import Sshd, Sshds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Home:
+    """One robot: its server, and the folder in which its commands start."""
+
+    server: Sshd
+    path: Path
+
+    @property
+    def robot(self) -> Robot:
+        return self.server.robot()
+
+    @property
+    def history(self) -> list[list[str]]:
+        """The fields of its history's lines."""
+        file = self.path / ".fleet/history"
+        return [line.split("\t") for line in file.read_text().splitlines()] if file.exists() else []
+
+    @property
+    def logins(self) -> int:
+        """How many connections have logged in so far."""
+        return self.server.log.read_text().count("Accepted publickey")
+
+
+def start(sshds: Sshds, name: str, *, before: str = "", trusted: bool = True) -> Home:
+    """Start a robot. ``before`` is a line of shell that runs before every command, as a login script does."""
+    path = sshds.folder / f"home of {name}"
+    path.mkdir(exist_ok=True)
+    said = f"{before}; " if before else ""
+    run = f'ForceCommand cd "{path}" && export HOME="{path}" && {said}exec sh -c "$SSH_ORIGINAL_COMMAND"'
+    return Home(server=sshds.start(name, options=(run,), trusted=trusted), path=path)
+
+
+class Told:
+    """A `fleet.rollout.progress.Progress` that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.began_with: list[tuple[str, str, int | None]] = []
+        self.bytes = 0
+        self.said: list[tuple[str, str]] = []
+        self.ended_with: list[Outcome] = []
+
+    def began(self, robot: str, title: str, size: int | None) -> None:
+        self.began_with.append((robot, title, size))
+
+    def sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
+        self.bytes += count
+
+    def told(self, robot: str, text: str) -> None:
+        self.said.append((robot, text))
+
+    def ended(self, outcome: Outcome) -> None:
+        self.ended_with.append(outcome)
+
+
+def statuses(outcomes: Iterable[Outcome]) -> dict[str, str]:
+    """Robot -> status, in order."""
+    return {outcome.robot: outcome.status for outcome in outcomes}

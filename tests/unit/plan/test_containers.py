@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.errors import NotReady
+from fleet.plan import compose_steps, containers
+from fleet.plan.ship import HEALTHY_WITHIN
+from fleet.plan.step import Plan, Record, Step
+from tests.support.samples import PI, container, facts
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from fleet.plan.containers import Verb
+    from fleet.robot.facts import Container, Facts
+
+WORDS = (compose_steps.last_words(PI, "abc"),)
+UP = compose_steps.start(PI, "abc", wait=HEALTHY_WITHIN)
+STOP = compose_steps.stop(PI, "abc")
+AGAIN = Step(title="restart release abc", argv=compose_steps.compose(PI, "abc", "restart"), limit=90.0)
+
+WELL = container("abc")
+ILL = container("abc", status="Up 1 minute (unhealthy)")
+GONE = container("abc", state="exited")
+OTHER = container("old")
+
+
+def robot_with(*containers: Container) -> Facts:
+    return facts(current="abc", releases=("abc",), containers=containers)
+
+
+def planned(verb: Verb, seen: Facts) -> Plan:
+    return containers.plan(verb, robot=PI, facts=seen, by="tim@desktop")
+
+
+@pytest.mark.parametrize(
+    ("verb", "has", "steps"),
+    [
+        ("start", (GONE,), (UP,)),
+        ("start", (), (UP,)),
+        ("start", (ILL,), (UP,)),
+        ("start", (WELL, GONE), (UP,)),
+        ("start", (OTHER,), (UP,)),
+        ("stop", (WELL,), (STOP,)),
+        ("stop", (ILL, GONE), (STOP,)),
+        ("stop", (OTHER,), (STOP,)),
+        ("restart", (WELL,), (AGAIN, UP)),
+        ("restart", (GONE,), (AGAIN, UP)),
+        ("restart", (), (AGAIN, UP)),
+    ],
+)
+def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...], steps: tuple[Step, ...]) -> None:
+    """Start and restart end with the release healthy; a failure shows the last lines of its logs."""
+    assert planned(verb, robot_with(*has)) == Plan(
+        robot="pi1",
+        summary=f"{verb} release abc",
+        steps=steps,
+        explain=() if verb == "stop" else WORDS,
+        record=Record(verb=verb, release="abc", by="tim@desktop"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("verb", "has", "summary"),
+    [
+        ("start", (WELL,), "release abc runs"),
+        ("start", (WELL, replace(WELL, status="Up 3 minutes")), "release abc runs"),
+        ("stop", (GONE,), "release abc is stopped"),
+        ("stop", (), "release abc is stopped"),
+    ],
+)
+def test_what_is_so_already_is_left_alone(verb: Verb, has: tuple[Container, ...], summary: str) -> None:
+    """The second of the same command does nothing."""
+    assert planned(verb, robot_with(*has)) == Plan(robot="pi1", summary=summary)
+
+
+@pytest.mark.parametrize("verb", ["start", "stop", "restart"])
+@pytest.mark.parametrize("seen", [facts(), facts(current="abc", releases=("old",))])
+def test_nothing_to_start_or_stop(verb: Verb, seen: Facts) -> None:
+    """Nothing was shipped, or the current release was removed by hand."""
+    with pytest.raises(NotReady) as caught:
+        planned(verb, seen)
+    assert (caught.value.what, caught.value.cure) == (
+        "nothing has been shipped to it",
+        "`fab ship --hosts pi1`",
+    )
+
+
+@pytest.mark.parametrize("verb", ["start", "stop", "restart"])
+def test_no_docker_is_told_before_anything_else(verb: Verb) -> None:
+    """As for ship."""
+    with pytest.raises(NotReady, match="Docker is not installed"):
+        planned(verb, replace(robot_with(WELL), engine="absent"))
+
+
+def logs(
+    seen: Facts, *, follow: bool = False, tail: str = "20", since: str = "", service: str = ""
+) -> tuple[str, ...]:
+    argv = containers.logs(robot=PI, facts=seen, follow=follow, tail=tail, since=since, service=service)
+    return argv[argv.index("compose") :]
+
+
+ONE = robot_with(WELL)
+TWO = robot_with(WELL, container("abc", service="camera"))
+
+
+def test_the_logs_of_one_service_need_no_names_and_those_of_two_do() -> None:
+    """The robot's name stands before each line already."""
+    assert logs(ONE) == ("compose", "logs", "--no-color", "--tail", "20", "--no-log-prefix")
+    assert logs(TWO) == ("compose", "logs", "--no-color", "--tail", "20")
+    assert logs(TWO, service="camera") == (
+        *("compose", "logs", "--no-color", "--tail", "20", "--no-log-prefix"),
+        "camera",
+    )
+
+
+def test_how_much_of_the_logs() -> None:
+    """What the person said goes to Compose as it is."""
+    assert logs(ONE, tail="all", since="10m")[3:] == ("--tail", "all", "--no-log-prefix", "--since", "10m")
+
+
+def test_logs_of_a_robot_without_a_release() -> None:
+    """There are none."""
+    with pytest.raises(NotReady, match="nothing has been shipped to it"):
+        logs(facts())
+
+
+def follower(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    """What follows logs on a robot, with another command in the place of Compose."""
+    argv = containers.logs(robot=PI, facts=ONE, follow=True, tail="1", since="", service="")
+    assert argv[argv.index("compose") :][-1] == "--follow"
+    start = argv[: argv.index("env")]
+    return subprocess.Popen((*start, *command), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+
+def test_a_follower_ends_with_its_connection(tmp_path: Path) -> None:
+    """Without a terminal nothing else would end it: one more process on the robot for every `fab logs --follow`."""
+    pid = tmp_path / "pid"
+    script = f"echo $$ > {pid}; echo one; while :; do read -r x < {tmp_path / 'never'}; done"
+    os.mkfifo(tmp_path / "never")
+    process = follower(("sh", "-c", script))
+    assert process.stdout
+    assert process.stdin
+    assert process.stdout.readline() == b"one\n"
+    followed = int(pid.read_text())
+    os.kill(followed, 0)
+    process.stdin.close()
+    process.wait(timeout=10)
+    assert process.stdout.read() == b""  # comes only when the last holder of it has ended
+    process.stdout.close()
+    with pytest.raises(ProcessLookupError):
+        _until_gone(followed)
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_a_follower_ends_with_what_it_follows(code: int) -> None:
+    """Docker was stopped on the robot: it is told, with its exit code, though nobody closed the connection."""
+    process = follower(("sh", "-c", f"echo one; exit {code}"))
+    assert process.stdout
+    assert process.stdin
+    assert process.wait(timeout=10) == code
+    assert process.stdout.read() == b"one\n"
+    process.stdin.close()
+    process.stdout.close()
+
+
+def _until_gone(pid: int) -> None:
+    for _ in range(500):
+        os.kill(pid, 0)
+        time.sleep(0.01)
+    os.kill(pid, signal.SIGKILL)

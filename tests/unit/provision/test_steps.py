@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+import hashlib
+import subprocess
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.config.inventory import Docker, Robot
+from fleet.errors import NotReady
+from fleet.plan.describe import lines
+from fleet.plan.step import Record
+from fleet.provision import apt, steps
+from fleet.robot.facts import Facts
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from fleet.plan.step import Plan, Step
+
+NOW = 1_800_000_000.0
+SCRIPT = b"#!/bin/sh\necho hello\n"
+ROTATES = '{"log-driver": "json-file", "log-opts": {"max-size": "10m", "max-file": "3"}}'
+
+BLANK = Facts(
+    machine="aarch64",
+    userland="arm64",
+    os="Debian GNU/Linux 13 (trixie)",
+    login="pi",
+    groups=("pi", "sudo"),
+    sudo="free",
+    clock=NOW - 2,
+    disk_size=32_000_000_000,
+    disk_free=20_000_000_000,
+)
+READY = replace(
+    BLANK,
+    groups=("pi", "sudo", "docker"),
+    docker_group=("pi",),
+    starts_at_boot=True,
+    daemon_config=ROTATES,
+    packages=("docker-ce", "zstd"),
+    engine="ready",
+    docker="28.1.0",
+    client="28.1.0",
+    compose="2.35.1",
+)
+
+
+def robot(**docker: str) -> Robot:
+    return Robot(name="pi1", address="10.0.0.1", docker=Docker(**docker))  # type: ignore[arg-type]
+
+
+def planned(facts: Facts, *, of: Robot | None = None) -> Plan:
+    return steps.plan(robot=of or robot(), facts=facts, script=SCRIPT, now=NOW, by="tim@desktop")
+
+
+def titles(plan: Plan) -> list[str]:
+    """What is changed: the steps before the proofs."""
+    found = [step.title for step in plan.steps]
+    return found[: found.index("prove that Docker answers this login")] if found else []
+
+
+def step(plan: Plan, title: str) -> Step:
+    (found,) = (step for step in plan.steps if step.title.startswith(title))
+    return found
+
+
+def test_a_blank_robot_gets_everything_in_a_safe_order() -> None:
+    """Log rotation stands before Docker first starts; the proof comes from a new login, last."""
+    plan = planned(BLANK)
+    assert titles(plan) == [
+        "keep 3 log files of 10m per container",
+        "see that it reaches its package archive",
+        "send Docker's script (https://get.docker.com)",
+        "install Docker, which takes minutes",
+        "prove that the script installed it",
+        "remove the script",
+        "let pi use Docker",
+        "start Docker now and at every boot",
+    ]
+    proofs = plan.steps[-4:]
+    assert [step.fresh_login for step in proofs] == [True, False, False, False]
+    assert plan.record == Record(verb="provision", release="", by="tim@desktop")
+    assert plan.summary == "Docker installed, ready for pi"
+
+
+def test_a_ready_robot_is_left_alone() -> None:
+    """No steps, and a summary that says why."""
+    plan = planned(READY)
+    assert (plan.steps, plan.recover, plan.summary) == (
+        (),
+        (),
+        "Docker 28.1.0 with Compose 2.35.1",
+    )
+
+
+def test_a_ready_robot_needs_no_rights() -> None:
+    """Nothing is asked of a robot where nothing is to be done."""
+    assert planned(replace(READY, sudo="password")).steps == ()
+
+
+@pytest.mark.parametrize(
+    ("broken", "cured_by"),
+    [
+        ({"engine": "stopped", "docker": ""}, ["start Docker now and at every boot"]),
+        (
+            {"engine": "stopped", "docker": "", "interrupted": True},
+            ["finish what dpkg was stopped in", "start Docker now and at every boot"],
+        ),
+        ({"interrupted": True}, []),
+        ({"starts_at_boot": False}, ["start Docker now and at every boot"]),
+        (
+            {"engine": "forbidden", "docker": "", "groups": ("pi",), "docker_group": ()},
+            ["let pi use Docker", "start Docker now and at every boot"],
+        ),
+        ({"compose": ""}, ["see that it reaches its package archive", "install Docker's Compose plugin"]),
+        (
+            {"compose": "", "interrupted": True},
+            [
+                "see that it reaches its package archive",
+                "finish what dpkg was stopped in",
+                "install Docker's Compose plugin",
+            ],
+        ),
+        ({"daemon_config": ""}, ["keep 3 log files of 10m per container, from the next start of Docker on"]),
+        ({"clock": NOW - 3600}, ["set the clock"]),
+    ],
+)
+def test_only_what_is_wrong_gets_a_step(broken: dict[str, object], cured_by: list[str]) -> None:
+    """Docker that is there is never installed again: the script would restart the robot's containers."""
+    assert titles(planned(replace(READY, **broken))) == cured_by  # type: ignore[arg-type]
+
+
+def test_the_clock_comes_first() -> None:
+    """With a wrong clock apt believes nothing that it downloads."""
+    plan = planned(replace(BLANK, clock=NOW - 86400))
+    assert plan.steps[0].argv == ("sudo", "-n", "date", "--utc", "--set", "@1800000000")
+
+
+@pytest.mark.parametrize("off", [-59.0, 59.0])
+def test_a_minute_is_near_enough(off: float) -> None:
+    """The answer of a slow robot is some seconds old."""
+    assert planned(replace(READY, clock=NOW + off)).steps == ()
+
+
+def test_root_needs_no_sudo_and_no_group() -> None:
+    """A robot whose login is root may have no sudo at all."""
+    plan = planned(replace(BLANK, login="root", sudo="root"))
+    assert not any("sudo" in step.argv for step in plan.steps)
+    assert "let root use Docker" not in titles(plan)
+
+
+def test_the_script_is_proved_by_its_checksum() -> None:
+    """What ran as root is what the desktop looked at."""
+    send = step(planned(BLANK), "send Docker's script")
+    assert send.expect == f"{hashlib.sha256(SCRIPT).hexdigest()}  .fleet/get-docker.sh"
+
+
+def test_sending_the_script_keeps_its_promise(tmp_path: Path) -> None:
+    """The very argv, run by a real shell, writes the file and prints the proof."""
+    send = step(planned(BLANK), "send Docker's script")
+    assert send.feed is not None
+    said = subprocess.run(send.argv, input=SCRIPT, cwd=tmp_path, capture_output=True, check=True).stdout
+    assert (said.decode().strip(), (tmp_path / ".fleet/get-docker.sh").read_bytes()) == (send.expect, SCRIPT)
+
+
+def test_a_pin_goes_to_the_script_and_is_proved() -> None:
+    """The script takes a version as a pattern, and may install another one."""
+    plan = planned(BLANK, of=robot(version="27.5.1"))
+    assert step(plan, "install Docker 27.5.1").argv[-3:] == (".fleet/get-docker.sh", "--version", "27.5.1")
+    assert step(plan, "prove that Docker answers").expect == "27.5.1"
+
+
+def test_values_are_arguments_and_never_shell_text() -> None:
+    """A login's odd name reaches the robot as one word."""
+    plan = planned(replace(BLANK, login="p i;reboot"))
+    assert step(plan, "let p i;reboot use").argv[-1] == "p i;reboot"
+    assert not any("reboot" in step.argv[i] for step in plan.steps for i in range(len(step.argv) - 1))
+
+
+def test_what_a_failed_installation_left_is_removed_before_and_after() -> None:
+    """A poisoned package source makes every later apt-get update fail."""
+    plan = planned(replace(BLANK, docker_source=True))
+    assert titles(plan)[2] == "forget Docker's package source"
+    assert [step.title for step in plan.recover] == ["forget Docker's package source"]
+
+
+def test_packages_that_clash_go_first() -> None:
+    """With Debian's docker-buildx there, Docker's own packages do not unpack."""
+    plan = planned(replace(BLANK, packages=("docker-buildx",)))
+    assert step(plan, "remove docker-buildx").argv[-4:] == ("apt-get", "remove", "--yes", "docker-buildx")
+
+
+def test_debians_engine_without_its_client_gets_the_client() -> None:
+    """Debian 13 packs them apart; the script would replace the engine that runs."""
+    plan = planned(replace(BLANK, packages=("docker.io",)))
+    assert not steps.needs_script(replace(BLANK, packages=("docker.io",)))
+    assert step(plan, "install docker-cli").argv[-1] == "docker-cli"
+
+
+def test_every_step_is_bounded() -> None:
+    """The script can hang for ever; the bound on the robot ends before the desktop gives up on it."""
+    plan = steps.plan(
+        robot=robot(), facts=BLANK, script=SCRIPT, now=NOW, by="", bounds=apt.Bounds(patience=5, limit=7)
+    )
+    assert all(step.limit for step in plan.steps)
+    assert (step(plan, "install Docker").argv[-5:-2], step(plan, "install Docker").limit) == (
+        ("5", "7", "5"),
+        42.0,
+    )
+
+
+def test_a_dry_run_shows_script_and_settings() -> None:
+    """What would be written and run can be read before."""
+    text = "\n".join(lines(planned(BLANK)))
+    assert hashlib.sha256(SCRIPT).hexdigest() in text
+    assert '"max-size": "10m"' in text
+
+
+@pytest.mark.parametrize(
+    ("facts", "docker", "what", "cure"),
+    [
+        ({"sudo": "password"}, {}, "sudo asks pi for a password", "pi ALL=(ALL) NOPASSWD: ALL"),
+        ({"sudo": "none"}, {}, "pi is not root, and there is no sudo", "user: root"),
+        (
+            {"userland": "armhf"},
+            {},
+            "its kernel is 64-bit and its system (Debian GNU/Linux 13 (trixie)) is 32-bit",
+            "64-bit Raspberry Pi OS",
+        ),
+        (
+            {"userland": "amd64", "machine": "x86_64"},
+            {},
+            "it runs linux/amd64, and the inventory says linux/arm64",
+            "set `platform: linux/amd64` for pi1",
+        ),
+        ({"userland": "riscv64", "machine": "riscv64"}, {}, "its processor is riscv64", ""),
+        ({"userland": "armhf", "machine": "armv6l"}, {}, "its processor is armv6l", ""),
+        ({"disk_free": 900_000_000}, {}, "it needs 1.0 GB of free disk, and has 900 MB", "apt-get clean"),
+        ({"daemon_config": "{ bad"}, {}, "/etc/docker/daemon.json is not JSON", "sudo nano"),
+        (
+            {"engine": "ready", "docker": "28.1.0"},
+            {"version": "27.5.1"},
+            "Docker 28.1.0 is installed, and the inventory pins 27.5.1: fleet does not downgrade",
+            "change the pin",
+        ),
+        (
+            {"engine": "stopped", "client": "26.1.5+dfsg1"},
+            {"version": "27.5.1"},
+            "Docker 26.1.5+dfsg1 is installed, and the inventory pins 27.5.1: an upgrade would restart",
+            "--only-upgrade",
+        ),
+    ],
+)
+def test_a_robot_that_cannot_be_made_ready_is_refused_with_a_cure(
+    facts: dict[str, object], docker: dict[str, str], what: str, cure: str
+) -> None:
+    """Before anything is touched."""
+    with pytest.raises(NotReady) as refused:
+        planned(replace(BLANK, **facts), of=robot(**docker))  # type: ignore[arg-type]
+    assert what in refused.value.what
+    assert cure in refused.value.cure
+
+
+def test_a_pin_that_fits_is_content() -> None:
+    """Debian's 26.1.5+dfsg1 is 26.1.5."""
+    facts = replace(READY, docker="26.1.5+dfsg1")
+    assert planned(facts, of=robot(version="26.1.5")).steps == ()

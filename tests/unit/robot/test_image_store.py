@@ -1,0 +1,304 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet.images.layer import Blob
+from fleet.robot import image_store
+from fleet.robot.image_store import ImageStore, parse
+from fleet.robot.probe import MARK
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHELLS = [shell for shell in ("dash", "bash", "busybox") if shutil.which(shell)]
+SECTIONS = ("layers", "sizes", "receipts", "spool", "pins", "tools", "memory")
+ONE, OTHER = "1" * 64, "2" * 64
+GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
+
+
+def manifest(*digests: str) -> str:
+    layers = [{"mediaType": GZIP, "digest": digest, "size": 7} for digest in digests]
+    return json.dumps({"schemaVersion": 2, "layers": layers})
+
+
+def blob(diff_id: str, digest: str) -> Blob:
+    return Blob(diff_id=diff_id, digest=digest, size=7, media_type=GZIP)
+
+
+def test_a_robot_that_says_nothing_holds_nothing() -> None:
+    """Then everything is sent."""
+    assert parse({}) == parse(dict.fromkeys(SECTIONS, "")) == ImageStore()
+
+
+@pytest.mark.parametrize(
+    ("said", "chains"),
+    [
+        ('sha256:1 ["a","b"]', (("a", "b"),)),
+        ('sha256:1 ["a","b"]\nsha256:2 ["a"]', (("a", "b"), ("a",))),
+        ('sha256:1 ["a"]\nsha256:2 ["a"]', (("a",),)),
+        ("sha256:1 null\nsha256:2 []", ()),
+        ('sha256:1\n\nsha256:2 ["a"', ()),
+        ('sha256:1 {"a": 1}\nsha256:2 ["b"]', (("b",),)),
+        ('WARNING: something\nsha256:2 ["b"]', (("b",),)),
+    ],
+)
+def test_the_layers_of_each_image(said: str, chains: tuple[tuple[str, ...], ...]) -> None:
+    """In their order, each chain once; images without layers and lines that are none are passed over."""
+    assert parse({"layers": said}).chains == chains
+
+
+@pytest.mark.parametrize(
+    ("receipts", "manifests"),
+    [
+        (f"{ONE} {manifest('x', 'y')}", ((blob("a", "x"), blob("b", "y")),)),
+        (f"{OTHER} {manifest('x')}\n{ONE} {manifest('x', 'y')}", ((blob("a", "x"), blob("b", "y")),)),
+        (f"{OTHER} {manifest('x', 'y')}", ()),
+        (f"{ONE} {manifest('x')}", ()),
+        (f"{ONE} {manifest('x', 'y', 'z')}", ()),
+        (f"{ONE} {manifest('x', 'y')[:-1]}", ()),
+        (f"{ONE} []", ()),
+        (f"{ONE} {{}}", ()),
+        (f'{ONE} {{"layers": 2}}', ()),
+        (f'{ONE} {{"layers": ["x", "y"]}}', ()),
+        (f'{ONE} {{"layers": [{{}}, {{}}]}}', ()),
+        (ONE, ()),
+        (f" {manifest('x', 'y')}", ()),
+    ],
+)
+def test_a_receipt_counts_for_the_image_whose_id_is_its_digest(
+    receipts: str, manifests: tuple[tuple[Blob, ...], ...]
+) -> None:
+    """Of an image that is gone, or of another number of layers, it says nothing; nor does one that was cut."""
+    layers = f'sha256:{ONE} ["a","b"]'
+    assert parse({"layers": layers, "receipts": receipts}).manifests == manifests
+
+
+@pytest.mark.parametrize("size", ["1e999", '"many"', "null", "[1]"])
+def test_a_receipt_whose_sizes_are_none_is_passed_over(size: str) -> None:
+    """Infinity is a number to JSON."""
+    layer = f'{{"mediaType": "{GZIP}", "digest": "x", "size": {size}}}'
+    said = {"layers": f'sha256:{ONE} ["a"]', "receipts": f'{ONE} {{"layers": [{layer}]}}'}
+    assert parse(said).manifests == ()
+
+
+@pytest.mark.parametrize("key", ["digest", "mediaType"])
+@pytest.mark.parametrize("value", ["5", "null", '["x"]'])
+def test_a_receipt_whose_words_are_none_is_passed_over(key: str, value: str) -> None:
+    """What travels into the next manifest is text."""
+    layer = {"mediaType": f'"{GZIP}"', "digest": '"x"', "size": "7", key: value}
+    text = ", ".join(f'"{name}": {said}' for name, said in layer.items())
+    said = {"layers": f'sha256:{ONE} ["a"]', "receipts": f'{ONE} {{"layers": [{{{text}}}]}}'}
+    assert parse(said).manifests == ()
+
+
+@pytest.mark.parametrize(
+    ("said", "spool"),
+    [
+        (f"{ONE} 5", {ONE: 5}),
+        (f"{ONE} 5\n{OTHER} 0\nholder 12\nlock 0", {ONE: 5, OTHER: 0}),
+        (f"{ONE}\n{ONE} -5\n{ONE} 5 6\n{ONE[1:]} 5\n{ONE}0 5\n{'g' * 64} 5", {}),
+        (f"{ONE} {'9' * 5000}", {}),
+    ],
+)
+def test_the_pieces_that_have_arrived(said: str, spool: dict[str, int]) -> None:
+    """Their digest and size; the lock and who holds it are no pieces."""
+    assert parse({"spool": said}).spool == spool
+
+
+@pytest.mark.parametrize(
+    ("said", "pins"),
+    [
+        (
+            (
+                '/home/pi/.fleet/releases/abc/compose.override.yaml:      "image": "talker:fleet-1",\n'
+                '/home/pi/.fleet/releases/abc/compose.override.yaml:      "image": "me:5000/camera:fleet-2"\n'
+                '/home/pi/.fleet/releases/def/compose.override.yaml:"image": "talker:fleet-1"'
+            ),
+            {"abc": ("talker:fleet-1", "me:5000/camera:fleet-2"), "def": ("talker:fleet-1",)},
+        ),
+        ('/home/pi/.fleet/releases/abc/compose.yaml:  "image": "talker"', {}),
+        ('releases/abc/compose.override.yaml: image: "talker"', {}),
+        ('/releases/abc/compose.override.yaml: "image": ""', {}),
+    ],
+)
+def test_which_images_a_release_runs(said: str, pins: dict[str, tuple[str, ...]]) -> None:
+    """As its override says, every service's."""
+    assert parse({"pins": said}).pins == pins
+
+
+@pytest.mark.parametrize(
+    ("said", "zstd", "python"),
+    [
+        ("/usr/bin/zstd\n/usr/bin/python3", True, True),
+        ("/usr/bin/zstd", True, False),
+        ("/opt/my/python3", False, True),
+        ("/usr/bin/zstdcat\n/usr/bin/python3.11", False, False),
+    ],
+)
+def test_the_tools_it_has(said: str, zstd: bool, python: bool) -> None:
+    """By their names, wherever they are."""
+    seen = parse({"tools": said})
+    assert (seen.zstd, seen.python) == (zstd, python)
+
+
+@pytest.mark.parametrize(
+    ("said", "memory"),
+    [("948304", 971_063_296), ("-1", 0), ("948304 kB", 0), ("1\n2", 0), ("9" * 5000, 0)],
+)
+def test_its_memory(said: str, memory: int) -> None:
+    """Said in KiB, kept in bytes; 0 is unknown."""
+    assert parse({"memory": said}).memory == memory
+
+
+@given(said=st.dictionaries(st.sampled_from(SECTIONS), st.text(max_size=200)))
+def test_garbage_is_no_traceback(said: dict[str, str]) -> None:
+    """Whatever a robot says in whichever section."""
+    assert isinstance(parse(said), ImageStore)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["layers", "digest", "size", "mediaType"]) | st.text(max_size=3), inner
+        )
+    ),
+    max_leaves=8,
+)
+LAYER = st.fixed_dictionaries({"digest": JSON, "size": JSON, "mediaType": JSON})
+
+
+@given(listing=JSON | st.lists(st.text(max_size=3), max_size=2), receipt=JSON)
+def test_json_of_another_shape_is_no_traceback(listing: object, receipt: object) -> None:
+    """It is JSON all the same, and so gets further than garbage does."""
+    said = {"layers": f"sha256:{ONE} {json.dumps(listing)}", "receipts": f"{ONE} {json.dumps(receipt)}"}
+    assert isinstance(parse(said), ImageStore)
+
+
+@given(layers=st.lists(LAYER, max_size=2))
+def test_blobs_of_a_receipt_are_what_they_say_they_are(layers: list[object]) -> None:
+    """Text and numbers, or there are none."""
+    diff_ids = ["a", "b"][: len(layers)]
+    said = {
+        "layers": f"sha256:{ONE} {json.dumps(diff_ids)}",
+        "receipts": f"{ONE} {json.dumps({'layers': layers})}",
+    }
+    for blobs in parse(said).manifests:
+        assert [one.diff_id for one in blobs] == diff_ids
+        assert {type(one.digest) for one in blobs} == {type(one.media_type) for one in blobs} == {str}
+        assert {type(one.size) for one in blobs} == {int}
+
+
+@pytest.mark.parametrize("deep", ["[" * 100_000, '{"layers":' * 100_000])
+def test_json_without_bottom_is_no_traceback(deep: str) -> None:
+    """Python counts how deep it reads."""
+    said = {"layers": f'sha256:{OTHER} {deep}\nsha256:{ONE} ["a"]', "receipts": f"{ONE} {deep}"}
+    assert parse(said) == ImageStore(chains=(("a",),))
+
+
+def probed(home: Path, shell: str, *, path: Path | None = None) -> dict[str, str]:
+    """What the probe says of a home on this computer; ``path`` holds programs that come before all others."""
+    argv = (shell, "sh") if shell == "busybox" else (shell,)
+    section = f"section() {{ printf '\\n{MARK} %s\\n' \"$1\"; }}"
+    environment = {"HOME": str(home), "PATH": f"{path}:{os.environ['PATH']}" if path else os.environ["PATH"]}
+    ran = subprocess.run(
+        (*argv, "-c", f"{section}\n{image_store.PROBE}"),
+        env=environment,
+        cwd=home,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.stderr == ""
+    parts = (part.partition("\n") for part in ran.stdout.split(f"\n{MARK} ")[1:])
+    return {name: body.strip("\n") for name, _, body in parts}
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A login's home, its name one that has to be quoted."""
+    path = tmp_path / "home of pi"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Path:
+    """Programs of a robot: a Docker with one image, and the tools."""
+    path = tmp_path / "bin"
+    path.mkdir()
+    receipt = hashlib.sha256(manifest("x", "y").encode()).hexdigest()
+    docker = f"""case $2 in
+        ls) echo sha256:{receipt}; echo sha256:{receipt} ;;
+        inspect) [ "$#" = 5 ] && echo 'sha256:{receipt} ["a","b"]' ;;
+        esac"""
+    for name, script in (("docker", docker), ("zstd", ""), ("python3", "")):
+        (path / name).write_text(f"#!/bin/sh\n{script}\n")
+        (path / name).chmod(0o755)
+    return path
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, home: Path, programs: Path) -> None:
+    """What lies in its home comes out as a value: receipts, pieces, pins, and beside them the tools and the memory."""
+    files = {
+        "receipts/0123456789ab": manifest("x", "y"),
+        "receipts/ba9876543210": manifest("z"),
+        f"spool/{ONE}": "12345",
+        "spool/lock": "",
+        "spool/holder": "1 token receive tim@desktop",
+        "releases/abc/compose.override.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-1",\n}}}\n',
+        "releases/abc/compose.yaml": "services:\n  a:\n    image: talker\n",
+    }
+    for name, text in files.items():
+        (home / ".fleet" / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / ".fleet" / name).write_text(text)
+    said = probed(home, shell, path=programs)
+    seen = parse(said)
+    assert tuple(said) == SECTIONS
+    assert seen == ImageStore(
+        chains=(("a", "b"),),
+        manifests=((blob("a", "x"), blob("b", "y")),),
+        spool={ONE: 5},
+        pins={"abc": ("talker:fleet-1",)},
+        zstd=True,
+        python=True,
+        memory=seen.memory,
+    )
+    assert seen.memory == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_probe_of_a_robot_that_was_never_shipped_to(shell: str, home: Path) -> None:
+    """There is nothing, nothing is made, and nothing is complained about; Docker itself is the desktop's."""
+    seen = parse(probed(home, shell))
+    assert (seen.manifests, seen.spool, seen.pins) == ((), {}, {})
+    assert seen.memory > 0
+    assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("said", "size"),
+    [
+        ("t:fleet-1 241MB", 241_000_000),
+        ("t:fleet-1 2.33kB", 2330),
+        ("t:fleet-1 1.1GB", 1_100_000_000),
+        ("t:fleet-1 12B", 12),
+        ("t:fleet-1 N/A", None),
+        ("t:fleet-1 1.2.3MB", 0),
+        ("garbage", None),
+    ],
+)
+def test_the_size_of_an_image(said: str, size: int | None) -> None:
+    """In the units in which `docker image ls` says it."""
+    assert parse({"sizes": said}).sizes.get("t:fleet-1") == size

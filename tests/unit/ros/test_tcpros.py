@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import ast
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.ros import tcpros
+from tests.support.ros_peers import Peers, serving, string_message
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture
+def peers() -> Iterator[Peers]:
+    with Peers(messages=(string_message("noon"),)).run() as running:
+        yield running
+
+
+def soon(seconds: float = 5) -> float:
+    return time.monotonic() + seconds
+
+
+def health(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the file as the container does: isolated, without site packages."""
+    return subprocess.run(
+        (sys.executable, "-S", tcpros.__file__, *arguments),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        env=environment,
+    )
+
+
+def test_first_message_goes_all_the_way(peers: Peers) -> None:
+    """Master, node and publisher are asked in turn, and the bytes are those that were sent."""
+    assert tcpros.first_message(peers.master, "/time", deadline=soon()) == string_message("noon")[4:]
+
+
+def test_stream_knows_type_and_definition(peers: Peers) -> None:
+    """The publisher's header says what the bytes mean."""
+    stream = tcpros.Stream("127.0.0.1", peers.data_port, "/time", deadline=soon())
+    assert (stream.type, stream.definition) == (peers.type, peers.definition)
+    stream.close()
+
+
+def test_graph_has_publishers_and_subscribers(peers: Peers) -> None:
+    """Both sides of the master's books are read."""
+    peers.subscribers = [["/cmd", ["/wheels"]]]
+    graph = tcpros.graph(peers.master, deadline=soon())
+    assert graph == ({"/time": ["/talker"]}, {"/cmd": ["/wheels"]})
+
+
+def test_unknown_node_is_the_masters_no(peers: Peers) -> None:
+    """A status other than 1 becomes `Refused` with the master's words."""
+    with pytest.raises(tcpros.Refused, match=r"unknown node \[/gone\]"):
+        tcpros.node_uri(peers.master, "/gone", deadline=soon())
+
+
+def test_unpublished_topic(peers: Peers) -> None:
+    """A topic without a publisher is no silent success."""
+    with pytest.raises(tcpros.NotPublished, match="nobody publishes /tim "):
+        tcpros.first_message(peers.master, "/tim", deadline=soon())
+
+
+def test_publisher_that_refuses(peers: Peers) -> None:
+    """An error in the connection header is told."""
+    peers.error = "md5sums do not match"
+    with pytest.raises(tcpros.Refused, match="md5sums do not match"):
+        tcpros.first_message(peers.master, "/time", deadline=soon())
+
+
+def test_silent_publisher_is_given_up_in_time(peers: Peers) -> None:
+    """A connected publisher without messages costs what was allowed, not more."""
+    peers.messages = ()
+    began = time.monotonic()
+    with pytest.raises(tcpros.Silent):
+        tcpros.first_message(peers.master, "/time", deadline=soon(0.5))
+    assert 0.4 < time.monotonic() - began < 3
+
+
+def test_publisher_that_hangs_up(peers: Peers) -> None:
+    """An ended connection is `Closed`, even in the middle of a message."""
+    peers.messages, peers.hang_up = (string_message("noon")[:-2],), True
+    with pytest.raises(tcpros.Closed):
+        tcpros.first_message(peers.master, "/time", deadline=soon())
+
+
+def test_absurd_length_is_refused(peers: Peers) -> None:
+    """Four bytes that announce 4 GB do not make us wait for, or allocate, 4 GB."""
+    peers.messages = (b"\xff\xff\xff\xff",)
+    with pytest.raises(tcpros.Refused, match="does not speak TCPROS"):
+        tcpros.first_message(peers.master, "/time", deadline=soon())
+
+
+def test_dripping_master_is_given_up_in_time() -> None:
+    """A peer that sends a byte now and then does not stretch the deadline."""
+
+    def drip(peer: socket.socket) -> None:
+        while True:
+            peer.sendall(b"H")
+            time.sleep(0.05)
+
+    with serving(drip) as port:
+        began = time.monotonic()
+        with pytest.raises(tcpros.Silent):
+            tcpros.graph(f"http://127.0.0.1:{port}", deadline=soon(0.5))
+        assert time.monotonic() - began < 3
+
+
+@pytest.mark.parametrize(
+    "answer", [b"", b"SSH-2.0-OpenSSH_9.2\r\n", b"HTTP/1.0 200 OK\r\n\r\n<methodResponse/>"]
+)
+def test_something_else_listens_there(answer: bytes) -> None:
+    """A port that speaks another language is `Refused`, whatever it says."""
+
+    def answer_that(peer: socket.socket) -> None:
+        peer.recv(10000)
+        peer.sendall(answer)
+
+    with serving(answer_that) as port, pytest.raises(tcpros.Refused, match="does not speak ROS"):
+        tcpros.graph(f"http://127.0.0.1:{port}", deadline=soon())
+
+
+def test_closed_port() -> None:
+    """A refused connection names host, port and the system's reason."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(tcpros.NoConnection, match=f"127.0.0.1 port {port}: Connection refused") as caught:
+        tcpros.graph(f"http://127.0.0.1:{port}", deadline=soon())
+    assert caught.value.refused
+
+
+def test_unknown_name() -> None:
+    """A name that cannot exist is `NameUnknown`."""
+    with pytest.raises(tcpros.NameUnknown, match=r"nobody\.invalid"):
+        tcpros.graph("http://nobody.invalid:11311", deadline=soon())
+
+
+@pytest.mark.parametrize("uri", ["", "pi1:11311", "http://pi1", "http://pi1:port", "http://[::1"])
+def test_broken_uri(uri: str) -> None:
+    """A URI without host or port is refused before anything is asked."""
+    with pytest.raises(tcpros.Refused, match="not a URI"):
+        tcpros.address_of(uri)
+
+
+@pytest.mark.parametrize(
+    ("topic", "namespace", "full"),
+    [
+        ("time", "", "/time"),
+        ("time", "pi1", "/pi1/time"),
+        ("a/b", "/x/", "/x/a/b"),
+        ("/time", "pi1", "/time"),
+    ],
+)
+def test_resolved(topic: str, namespace: str, full: str) -> None:
+    """Relative names follow the namespace, absolute ones do not."""
+    assert tcpros.resolved(topic, namespace) == full
+
+
+def test_health_check_says_nothing_when_a_message_came(peers: Peers) -> None:
+    """Exit code 0 is the proof of one message."""
+    done = health("time", ROS_MASTER_URI=peers.master)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_health_check_says_why_in_one_line(peers: Peers) -> None:
+    """Exit code 1 comes with one line that names the topic, in the node's own namespace."""
+    done = health("time", "--master", peers.master, ROS_NAMESPACE="pi1")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout == f"/pi1/time: nobody publishes /pi1/time at {peers.master}\n"
+
+
+def test_health_check_needs_no_other_file(peers: Peers, tmp_path: Path) -> None:
+    """The image carries this one file: nothing beside it may be needed."""
+    copy = tmp_path / "tcpros.py"
+    copy.write_bytes(Path(tcpros.__file__).read_bytes())
+    done = subprocess.run(
+        (sys.executable, "-IS", str(copy), "/time", "--master", peers.master),
+        check=False,
+        timeout=30,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0
+
+
+def test_python_38_can_read_it() -> None:
+    """A ROS Noetic image has Python 3.8."""
+    ast.parse(Path(tcpros.__file__).read_text(), feature_version=(3, 8))

@@ -1,0 +1,243 @@
+from __future__ import annotations
+
+import ast
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCES = sorted((ROOT / "fleet").rglob("*.py"))
+
+LIBRARIES = {
+    "cli.verb": {"fabric", "invoke"},
+    "cli.console": {"rich"},
+    "images.store": {"docker"},
+    "config.inventory": {"pydantic", "pydantic_core"},
+    "ssh.connect": {"paramiko"},
+    "transfer.codec": {"backports", "compression"},
+    "config.yamlfile": {"yaml"},
+}
+"""Each library has one module that imports it, and turns its exceptions into ours."""
+
+PURE = {
+    *("errors", "platforms", "terminal", "units"),
+    *("diagnosis.explain", "diagnosis.known_errors"),
+    *("config.selection", "config.validation"),
+    *("images.identity", "images.image", "images.layer"),
+    *("ros.environment", "ros.rosmsg"),
+    *("robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
+    "plan",
+    *(f"plan.{name}" for name in ("compose_steps", "containers", "delivery", "describe", "outcome", "prune")),
+    *(f"plan.{name}" for name in ("readiness", "ship", "step")),
+    *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
+    *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
+    *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
+    *("cli.json_output", "cli.status"),
+    *("config", "diagnosis", "images", "onboard", "provision", "robot", "ros", "transfer"),
+}
+"""Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
+
+READS_FILES = {"config.inventory", "config.merge", "config.stack", "config.yamlfile", "robot.release"}
+
+EFFECTS = {
+    "asyncio",
+    "ctypes",
+    "http",
+    "multiprocessing",
+    "os",
+    "pathlib",
+    "pty",
+    "select",
+    "shutil",
+    "signal",
+} | {
+    *("socket", "socketserver", "subprocess", "tempfile", "threading", "time", "urllib.request", "xmlrpc"),
+}
+
+LONGEST_MODULE = 400
+LONGEST_FUNCTION = 33
+"""Lines from its first to its last, but for its docstring."""
+
+EXCUSED = {"robot.probe.parse": "one line for each fact"}
+
+UNTESTED = {
+    "cli.deploy",
+    "cli.lab",
+    "cli.observe",
+    "cli.selection",
+    "config.stack",
+    "diagnosis.known_errors",
+    "images.identity",
+    "images.layer",
+    "images.store",
+    "plan.delivery",
+    "plan.describe",
+    "plan.outcome",
+    "plan.readiness",
+    "platforms",
+    "robot.facts",
+    "robot.history",
+    "robot.paths",
+    "rollout.progress",
+    "transfer.link_rates",
+    "transfer.patch_cache",
+    "transfer.rebuild_command",
+    "units",
+}
+ABOUT_MORE = {
+    "architecture": "",
+    "cli.verbs": "",
+    "ssh.logins": "",
+    "ssh.networks": "",
+    "transfer.transfer": "",
+}
+
+FORBIDDEN = {"base", "common", "core", "helper", "helpers", "manager", "misc", "util", "utils"}
+
+
+def name_of(path: Path) -> str:
+    """``cli.deploy`` for ``fleet/cli/deploy.py``, ``cli`` for that package's own file."""
+    return ".".join(path.relative_to(ROOT / "fleet").with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+
+
+def imported(tree: ast.AST, *, for_types: bool) -> set[str]:
+    """Dotted names that are imported anywhere in it: at the top, in functions, and ``for_types`` only."""
+    nodes = list(ast.iter_child_nodes(tree))
+    if isinstance(tree, ast.If) and isinstance(tree.test, ast.Name) and tree.test.id == "TYPE_CHECKING":
+        nodes = nodes if for_types else tree.orelse  # type: ignore[assignment]
+    names = set().union(*(imported(node, for_types=for_types) for node in nodes))
+    match tree:
+        case ast.Import():
+            names |= {alias.name for alias in tree.names}
+        case ast.ImportFrom():
+            assert tree.level == 0, "imports are absolute"
+            names |= {f"{tree.module}.{alias.name}" for alias in tree.names}
+        case _:
+            pass
+    return names
+
+
+@cache
+def ours(name: str) -> frozenset[str]:
+    """The modules of fleet that a module needs when it runs."""
+    everything = imported(MODULES[name], for_types=False)
+    names = {other.removeprefix("fleet.") for other in everything if other.startswith("fleet.")}
+    return frozenset(longest for other in names if (longest := _module(other)))
+
+
+def _module(name: str) -> str:
+    parts = name.split(".")
+    prefixes = (".".join(parts[:count]) for count in range(len(parts), 0, -1))
+    return next((prefix for prefix in prefixes if prefix in MODULES), "")
+
+
+@cache
+def needed(name: str) -> frozenset[str]:
+    """The modules that a module needs when it runs, and those that these need."""
+    found: set[str] = set()
+    todo = {name}
+    while todo:
+        found |= todo
+        todo = set().union(*(ours(one) for one in todo)) - found
+    return frozenset(found - {name})
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_each_library_is_imported_by_one_module(name: str) -> None:
+    """Also inside functions and for types only: who replaces a library edits one file."""
+    roots = {other.partition(".")[0] for other in imported(MODULES[name], for_types=True)}
+    assert roots - sys.stdlib_module_names - {"fleet"} <= LIBRARIES.get(name, set())
+
+
+def test_each_library_of_the_table_is_used() -> None:
+    """A table that promises too much would let a second import pass."""
+    for name, libraries in LIBRARIES.items():
+        roots = {other.partition(".")[0] for other in imported(MODULES[name], for_types=True)}
+        assert libraries <= roots
+
+
+@pytest.mark.parametrize("name", sorted(PURE))
+def test_planning_is_pure(name: str) -> None:
+    """It needs only what is pure too, and nothing of Python's that touches the world."""
+    assert needed(name) <= PURE
+    own = imported(MODULES[name], for_types=False)
+    assert not {effect for effect in EFFECTS if any(f"{other}.".startswith(f"{effect}.") for other in own)}
+
+
+@pytest.mark.parametrize("name", sorted(READS_FILES))
+def test_reading_is_no_more_than_that(name: str) -> None:
+    """Inventory and stack come from files, and go nowhere."""
+    assert needed(name) <= PURE | READS_FILES
+
+
+def test_no_module_needs_itself() -> None:
+    """No circles: each can be read, and tested, before those that use it."""
+    for name in MODULES:
+        assert not {other for other in needed(name) if name in needed(other)}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_modules_and_functions_are_short(path: Path) -> None:
+    """A module is read in one sitting, a function at one glance."""
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_MODULE
+    for node in ast.walk(MODULES[name_of(path)]):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            where = f"{name_of(path)}.{node.name}"
+            first = node.body[0]
+            words = ast.get_docstring(node, clean=False)
+            said = (first.end_lineno or 0) - first.lineno + 1 if words is not None else 0
+            length = (node.end_lineno or 0) - node.lineno + 1 - said
+            assert length <= LONGEST_FUNCTION or where in EXCUSED, where
+
+
+def test_excuses_are_still_needed() -> None:
+    """An excuse for a function that is short, or gone, would excuse the next one."""
+    for where in EXCUSED:
+        module, _, function = where.rpartition(".")
+        (node,) = (
+            node
+            for node in ast.walk(MODULES[module])
+            if isinstance(node, ast.FunctionDef) and node.name == function
+        )
+        assert (node.end_lineno or 0) - node.lineno >= LONGEST_FUNCTION
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if name != "__init__"])
+def test_names_shadow_nothing_and_mean_something(name: str) -> None:
+    """A module named like a library or like one of Python's own is found in its place by somebody, some day."""
+    for part in name.split("."):
+        assert part not in sys.stdlib_module_names
+        assert part not in {library for libraries in LIBRARIES.values() for library in libraries}
+        assert part not in FORBIDDEN
+
+
+def test_every_module_has_its_tests_and_no_test_is_about_nothing() -> None:
+    """`fleet/plan/ship.py` is tested by `tests/unit/plan/test_ship.py`."""
+    modules = {name for name in MODULES if not (ROOT / "fleet" / name.replace(".", "/")).is_dir()}
+    unit = ROOT / "tests" / "unit"
+    tests = {
+        ".".join(path.with_name(path.stem.removeprefix("test_")).relative_to(unit).parts)
+        for path in unit.rglob("test_*.py")
+    }
+    assert modules - {"__init__", "errors"} - tests == UNTESTED
+    beside = {
+        test for test in tests - modules if test.partition(".")[0] not in ("bench", "support", "talker")
+    }
+    assert beside == set(ABOUT_MORE)
+
+
+def test_each_module_says_what_it_answers() -> None:
+    """A question, or a sentence, in the first line of its docstring."""
+    for name, tree in MODULES.items():
+        first = (ast.get_docstring(tree) or "").partition("\n")[0]
+        assert first.endswith(("?", ".")), name
+
+
+def test_docker_is_a_folder_and_no_package() -> None:
+    """With an ``__init__.py`` it would be found in place of the SDK."""
+    assert not list((ROOT / "docker").rglob("__init__.py"))
