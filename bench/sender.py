@@ -43,7 +43,9 @@ def main() -> int:
         with Store() as store:
             local = store.find(asked.image, robots[0].platform)
             feed = ImageArchive(image=local.reference, reference=asked.reference, size=local.size)
-            outcomes, cost = _send(robots, feed, asked.argv, open_feed=store.open)
+            outcomes, cost = _send(
+                robots, feed, asked.argv, open_feed=lambda _: store.archive(local.reference, asked.reference)
+            )
     sys.stdout.write(json.dumps({**cost, "peak": _peak(), "sent": sum(one.sent for one in outcomes)}))
     failed = [f"{one.robot}: {one.reason}" for one in outcomes if not one.good]
     sys.stderr.write("\n".join(failed))

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from fleet.errors import FleetError, LinkLost
 from fleet.plan.outcome import Outcome, exit_code
-from fleet.plan.step import Bytes
 from fleet.rollout.apply import RETRY_FOR, apply, look
 from fleet.rollout.pool import each
 
@@ -53,7 +52,7 @@ def execute(
             plan = plans[line.robot.name] = make(line.robot, facts)
             if dry:
                 return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-            return apply(plan, line, open_feed=open_feed or held, watch=show, patience=patience)
+            return apply(plan, line, open_feed=open_feed or refuse, watch=show, patience=patience)
 
         outcomes = each(robots, partial(_climb, ladder=ladder, attempt=attempt, watch=show), watch=show)
     if not dry:
@@ -127,11 +126,9 @@ def keep_observing(
     each(robots, look, watch=watch, at_once=len(robots))
 
 
-def held(feed: Feed) -> Iterable[bytes]:
-    """The bytes of a feed that the plan itself holds."""
-    if not isinstance(feed, Bytes):
-        raise TypeError(f"{feed.label} needs an opener")
-    return (feed.data,)
+def refuse(feed: Feed) -> Iterable[bytes]:
+    """Open no feed: the steps of most verbs carry their bytes."""
+    raise TypeError(f"{feed.label} needs a sender")
 
 
 def whoami() -> str:

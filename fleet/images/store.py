@@ -8,7 +8,6 @@ import threading
 from typing import TYPE_CHECKING, Any, Self
 
 from fleet.errors import DesktopError, ImageError
-from fleet.plan.step import Bytes, ImageArchive
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
 
     import docker
 
-    from fleet.plan.step import Feed
 from fleet.images.identity import identity
 from fleet.images.image import Image, tagged_for
 
@@ -72,14 +70,6 @@ class Store:
         raise ImageError(
             wrong or f"there is no image {reference} for {platform} here", cure="run `fab build`"
         )
-
-    def open(self, feed: Feed) -> Iterable[bytes]:
-        """The bytes of a step's feed: an image's archive comes out of the engine as it is read."""
-        if isinstance(feed, ImageArchive):
-            return self.archive(feed.image, feed.reference)
-        if isinstance(feed, Bytes):
-            return (feed.data,)
-        raise TypeError(f"{feed.label} is opened by fleet.transfer.sender")
 
     def export(self, image: Image) -> Generator[bytes]:
         """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""

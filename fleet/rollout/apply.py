@@ -15,6 +15,7 @@ from fleet import terminal
 from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
+from fleet.plan.step import Bytes
 from fleet.rollout.link import output_of
 from fleet.units import human_seconds
 
@@ -166,7 +167,7 @@ class _Work:
     def _do(self, step: Step, *, quietly: bool) -> None:
         if not quietly:
             self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
-        feed = self._open_feed(step.feed) if step.feed else None
+        feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
             _do(step, self._line, feed=feed, tell=self._tell)
             return
@@ -175,6 +176,9 @@ class _Work:
             _do(step, self._line, feed=feed, tell=self._tell, heard=feed.heard)
         finally:
             feed.close()
+
+    def _open(self, feed: Feed) -> Iterable[bytes]:
+        return (feed.data,) if isinstance(feed, Bytes) else self._open_feed(feed)
 
     def _tell(self, count: int) -> None:
         self.bytes += count

@@ -7,7 +7,7 @@ import secrets
 from typing import TYPE_CHECKING, Self
 
 from fleet.plan.delivery import Delivery
-from fleet.plan.step import UploadBatch
+from fleet.plan.step import ImageArchive, UploadBatch
 from fleet.transfer import delivery, rebuild_command
 from fleet.transfer.layer_cache import LayerCache, folder
 from fleet.transfer.load_archive import TargetImage
@@ -33,7 +33,7 @@ from fleet.transfer.link_rates import LinkRates, lowest
 
 
 class Sender:
-    """One run's shipments. ``open_feed`` gives the bytes of what is no parcel; ``rates`` is a file, and may be removed."""
+    """One run's shipments. ``archive`` reads an image out of Docker, as `fleet.images.store.Store.archive` does; ``rates`` is a file, and may be removed."""
 
     def __init__(
         self,
@@ -42,14 +42,14 @@ class Sender:
         pace: RateLimiter,
         by: str,
         rates: Path,
-        open_feed: Callable[[Feed], Iterable[bytes]],
+        archive: Callable[[str, str], Iterable[bytes]],
     ) -> None:
         self._cache = cache
         self._patches = PatchCache(cache)
         self._pace = pace
         self._by = by
         self._rates = LinkRates(rates)
-        self._open = open_feed
+        self._archive = archive
         self._token = secrets.token_hex(8)
 
     @classmethod
@@ -60,7 +60,7 @@ class Sender:
         cache = LayerCache(directory=directory, export=store.export)
         rates = directory.parent / "rates.json"
         try:
-            yield cls(cache=cache, pace=pace, by=by, rates=rates, open_feed=store.open)
+            yield cls(cache=cache, pace=pace, by=by, rates=rates, archive=store.archive)
         finally:
             cache.tidy()
 
@@ -95,7 +95,9 @@ class Sender:
         """The bytes of a step's feed; a parcel's are those that the robot asks for."""
         if isinstance(feed, UploadBatch):
             return UploadServer(feed, open_piece=self._cache.open, pace=self._pace, ended=self._rates.note)
-        return self._open(feed)
+        if isinstance(feed, ImageArchive):
+            return self._archive(feed.image, feed.reference)
+        raise TypeError(f"{feed.label} needs no sender")
 
     def _made(
         self, images: Sequence[Image], packed: Mapping[str, Blob], facts: Facts, *, rate: float | None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.cli.console import Screen
-from fleet.cli.execute import execute, held, keep_observing, observe, whoami
+from fleet.cli.execute import execute, keep_observing, observe, refuse, whoami
 from fleet.errors import FleetError, NotReady
 from fleet.plan.step import Bytes, ImageArchive, Plan, Step
 from fleet.robot.facts import Facts
@@ -254,9 +254,8 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
 
 def test_only_bytes_that_a_plan_holds_need_no_opener() -> None:
     """A verb that sends images and forgets to open them is a bug."""
-    assert list(held(Bytes(label="b", data=b"abc"))) == [b"abc"]
-    with pytest.raises(TypeError, match="image x needs an opener"):
-        held(ImageArchive(image="x", reference="x", size=1))
+    with pytest.raises(TypeError, match="image x needs a sender"):
+        refuse(ImageArchive(image="x", reference="x", size=1))
 
 
 def test_who_is_at_the_desktop() -> None:

@@ -19,7 +19,6 @@ from fleet.images import identity as facts
 from fleet.images.identity import identity
 from fleet.images.image import Image, repository, tagged_for
 from fleet.images.store import CHUNK, Store
-from fleet.plan.step import Bytes, ImageArchive
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -228,20 +227,13 @@ def test_an_archive_flows_in_pieces_and_holds_the_image_under_its_new_name(
     """What is read here is what ``docker load`` makes the same image of, and no piece is larger than 1 MiB."""
     shelf.load("latest-amd64", config=CONFIG, size=3 * CHUNK)
     found = store.find(shelf.name, "linux/amd64")
-    pieces = list(
-        store.open(ImageArchive(image=found.reference, reference=found.shipped_as, size=found.size))
-    )
+    pieces = list(store.archive(found.reference, found.shipped_as))
     assert len(pieces) > 3
     assert max(len(piece) for piece in pieces) <= CHUNK
     shelf.clear()
     subprocess.run(("docker", "load", "--quiet"), input=b"".join(pieces), check=True, capture_output=True)
     assert shelf.tags() == [found.shipped_as.rpartition(":")[2]]
     assert shelf.inspect(shelf.tags()[0], facts.IDENTITY).strip() == found.identity
-
-
-def test_bytes_that_a_plan_holds_are_handed_on(store: Store) -> None:
-    """One opener serves both kinds of feed."""
-    assert b"".join(store.open(Bytes(label="files", data=b"abc"))) == b"abc"
 
 
 def test_an_image_that_goes_away_while_it_is_wanted_is_the_desktops_failure(

@@ -8,7 +8,7 @@ import pytest
 
 from fleet.images.store import Store
 from fleet.plan.delivery import Delivery
-from fleet.plan.step import Bytes, UploadBatch
+from fleet.plan.step import Bytes, ImageArchive, UploadBatch
 from fleet.robot.image_store import ImageStore
 from fleet.transfer import delivery
 from fleet.transfer.layer_cache import LayerCache
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from fleet.images.image import Image
-    from fleet.plan.step import Feed
     from fleet.robot.facts import Facts
     from fleet.transfer.delivery import Strategy
 
@@ -39,21 +38,21 @@ class Desk:
     def __init__(self, folder: Path, *, limit: float | None = None) -> None:
         self.rates = folder / "rates.json"
         self.exported: list[str] = []
-        self.opened: list[Feed] = []
+        self.opened: list[tuple[str, str]] = []
         self.sender = Sender(
             cache=LayerCache(directory=folder / "layers", export=self._export),
             pace=RateLimiter(limit),
             by="tim@desktop",
             rates=self.rates,
-            open_feed=self._open,
+            archive=self._open,
         )
 
     def _export(self, image: Image) -> Iterable[bytes]:
         self.exported.append(image.reference)
         return [next(one for one in (TALKER, CAMERA) if one.image == image).saved()]
 
-    def _open(self, feed: Feed) -> Iterable[bytes]:
-        self.opened.append(feed)
+    def _open(self, local: str, reference: str) -> Iterable[bytes]:
+        self.opened.append((local, reference))
         return [b"opened"]
 
     def deliver(
@@ -178,11 +177,12 @@ def test_a_parcel_is_opened_as_a_courier_that_notes_how_fast_it_went(desk: Desk)
     assert json.loads(desk.rates.read_text()) == {PI.address: 1_000_000}
 
 
-def test_other_feeds_are_opened_by_whom_they_belong_to(desk: Desk) -> None:
-    """The files of a release, and the archives of the last way."""
-    feed = Bytes(label="3 files", data=b"abc")
-    assert desk.sender.open(feed) == [b"opened"]
-    assert desk.opened == [feed]
+def test_whole_images_are_read_out_of_docker(desk: Desk) -> None:
+    """That is the last way; what a plan carries itself needs no sender."""
+    assert desk.sender.open(ImageArchive(image="talker", reference="talker:fleet-1", size=9)) == [b"opened"]
+    assert desk.opened == [("talker", "talker:fleet-1")]
+    with pytest.raises(TypeError, match="3 files needs no sender"):
+        desk.sender.open(Bytes(label="3 files", data=b"abc"))
 
 
 @pytest.mark.parametrize(
