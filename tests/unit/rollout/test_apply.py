@@ -497,7 +497,11 @@ def test_a_conversation(home: Home, script: str, status: str) -> None:
     """What is sent depends on what the robot says; at the end it is closed, whatever the end is."""
     talk, told = Talk(), Told()
     step = sh(script, title="talk")
-    plan = Plan(robot="pi1", summary="", steps=(replace(step, feed=Bytes(label="talk", data=b"12345678")),))
+    plan = Plan(
+        robot="pi1",
+        summary="",
+        steps=(replace(step, feed=ImageArchive(image="talk", reference="talk", size=8)),),
+    )
     outcome = applied(home, plan, watch=told, open_feed=lambda _: talk)
     assert (outcome.status, talk.closed) == (status, True)
     assert told.began_with[0] == ("pi1", "talk", 8)
@@ -517,7 +521,7 @@ def test_a_conversation_that_is_cut_is_closed_and_another_one_held(home: Home) -
         return talks[-1]
 
     step = sh(f"echo one; read -r first; {LASTS}")
-    step = replace(step, feed=Bytes(label="talk", data=b"1234"), resumes=True)
+    step = replace(step, feed=ImageArchive(image="talk", reference="talk", size=4), resumes=True)
     outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=open_talk)
     away.end()
     assert outcome.status == "done"
