@@ -1,112 +1,145 @@
-"""What do robots run, as a standard Compose file says?"""
+"""What do robots run? A stack, as Compose's canonical model says it (`fleet.config.compose`). Pure: a model in, values out."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
-from fleet.config import yamlfile
 from fleet.errors import ComposeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
+    from pathlib import PurePosixPath
+
+    from fleet.config.compose import Project, Resolved
+
+Restart = Literal["no", "on-failure", "always"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """One service of a stack, for one robot.
+
+    ``image`` is the reference that its file names, or Compose's default name for what it builds. ``platform`` is empty
+    if the file leaves that to the robot. ``build`` is Compose's ``build:``, or None for an image that is only pulled.
+    ``start_period`` is in seconds. ``checked``: the file has a health check (True), switches the image's off (False),
+    or leaves it to the image (None).
+    """
+
+    name: str
+    image: str
+    platform: str = ""
+    build: Mapping[str, Any] | None = None
+    restart: Restart = "no"
+    replicas: int = 1
+    checked: bool | None = None
+    start_period: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """A path of the project that a container sees: ``path`` lies below the project's folder (or beside it, ``../x``)."""
+
+    service: str
+    path: PurePosixPath
+    target: str
+    read_only: bool
+    kind: Literal["bind", "config", "secret"] = "bind"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stack:
-    """What robots run, as read from a standard Compose file.
-
-    ``images`` maps each service to the image it names; ``builds`` holds the services that say how theirs is built,
-    each with its context, Dockerfile, target and arguments.
-    """
+    """What one robot runs. ``name`` is its Compose project name, which is its identity on the robot."""
 
     name: str
-    text: str
-    images: Mapping[str, str]
-    builds: Mapping[str, Build]
+    services: Mapping[str, Service]
+    mounts: tuple[Mount, ...]
+    model: Mapping[str, Any]
+
+    @property
+    def start_period(self) -> float:
+        """The longest time, in seconds, that the file gives a service to become healthy."""
+        return max((service.start_period for service in self.services.values()), default=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Build:
-    """How a service's image is built, as its Compose file says (``build:``), with absolute paths."""
-
-    context: Path
-    dockerfile: Path
-    target: str = ""
-    arguments: tuple[tuple[str, str], ...] = ()
-
-
-def read_stack(path: Path) -> Stack:
-    """Read a Compose file as far as shipping it needs; the robot's own Compose judges the rest.
+def read(resolved: Resolved, project: Project) -> Stack:
+    """The stack of Compose's answer.
 
     Raises:
-        ComposeError: it is missing, not YAML, or a service has neither a fixed image nor a name to build one under.
+        ComposeError: it has no service that this robot would run.
 
     """
-    cure = "`stack:` in the inventory names the Compose file"
-    document = yamlfile.read(path, error=ComposeError, cure=cure)
-    services = document.value.get("services")
-    if not isinstance(services, dict) or not services:
+    model = resolved.model
+    services = model.get("services") or {}
+    if not services:
         raise ComposeError(
-            f"{path}: there is no service in it", cure="a stack is a Compose file with `services:`"
+            f"{project.files[0]}: there is no service in it, or its profile is not active",
+            cure="a stack is a Compose file with `services:`; COMPOSE_PROFILES in the inventory chooses profiles",
         )
-    images: dict[str, str] = {}
-    builds: dict[str, Build] = {}
-    for name, service in services.items():
-        where = f"{path}:{document.line(('services', name))}: services.{name}"
-        said = service if isinstance(service, dict) else {}
-        images[name] = _image_name(said.get("image"), where=where)
-        if build := said.get("build"):
-            builds[name] = _build(build, folder=path.parent, where=where)
-    text = yamlfile.text(path, error=ComposeError)
-    return Stack(name=_name(document.value.get("name"), path), text=text, images=images, builds=builds)
-
-
-def _image_name(said: object, *, where: str) -> str:
-    if not isinstance(said, str):
-        cure = "robots are sent images by name: add `image: NAME`, next to `build:` if it is built here"
-        raise ComposeError(f"{where}: names no image", cure=cure)
-    if "$" in said:
-        cure = "write the plain name: every release pins its images by itself"
-        raise ComposeError(f"{where}.image: {said} holds a variable", cure=cure)
-    return said
-
-
-def _name(said: object, path: Path) -> str:
-    """Compose's project name: ``name:``, else that of the directory; ``docker/`` says nothing, so its parent's."""
-    folder = path.resolve().parent
-    name = str(said or (folder.parent if folder.name == "docker" else folder).name)
-    return re.sub(r"[^a-z0-9_-]", "", name.lower()).lstrip("_-") or "stack"
-
-
-def _build(value: object, *, folder: Path, where: str) -> Build:
-    said = {"context": value} if isinstance(value, str) else value
-    if not isinstance(said, dict):
-        raise ComposeError(f"{where}.build: is neither a path nor a mapping", cure="see Compose's `build:`")
-    context = (folder / str(said.get("context") or ".")).resolve()
-    return Build(
-        context=context,
-        dockerfile=context / str(said.get("dockerfile") or "Dockerfile"),
-        target=str(said.get("target") or ""),
-        arguments=_arguments(said.get("args") or {}, where=where),
+    name = str(model["name"])
+    return Stack(
+        name=name,
+        services={key: _service(key, value, project=name) for key, value in services.items()},
+        mounts=tuple(_mounts(model, project)),
+        model=model,
     )
 
 
-def _arguments(said: object, *, where: str) -> tuple[tuple[str, str], ...]:
-    """Build arguments, of a mapping or a list of ``NAME=value``; one without a value is left to the Dockerfile."""
-    if isinstance(said, dict):
-        pairs = [(str(name), value) for name, value in said.items() if value is not None]
-    elif isinstance(said, list):
-        pairs = [
-            (name, value) for name, equals, value in (str(pair).partition("=") for pair in said) if equals
-        ]
-    else:
-        raise ComposeError(
-            f"{where}.build.args: is neither a mapping nor a list", cure="see Compose's `build:`"
-        )
-    # YAML's true is Python's True.
-    return tuple(
-        (name, str(value).lower() if isinstance(value, bool) else str(value)) for name, value in pairs
+def _service(name: str, value: Mapping[str, Any], *, project: str) -> Service:
+    check = value.get("healthcheck")
+    deploy = value.get("deploy") or {}
+    replicas = value.get("scale", deploy.get("replicas", 1))
+    disabled = check is not None and (check.get("disable") or list(check.get("test") or ()) == ["NONE"])
+    return Service(
+        name=name,
+        image=literal(str(value.get("image") or f"{project}-{name}")),
+        platform=str(value.get("platform") or ""),
+        build=value.get("build"),
+        restart=_restart(value),
+        replicas=1 if replicas is None else int(replicas),
+        checked=None if check is None else not disabled,
+        start_period=0.0 if disabled or not check else seconds(str(check.get("start_period") or "0s")),
     )
+
+
+def _restart(value: Mapping[str, Any]) -> Restart:
+    """When Docker starts a container again, from ``restart:`` or ``deploy.restart_policy``."""
+    policy = ((value.get("deploy") or {}).get("restart_policy") or {}).get("condition")
+    written = str(value.get("restart") or policy or "no").partition(":")[0]
+    if written in ("always", "unless-stopped", "any"):
+        return "always"
+    return "on-failure" if written == "on-failure" else "no"
+
+
+def _mounts(model: Mapping[str, Any], project: Project) -> Iterable[Mount]:
+    for name, service in (model.get("services") or {}).items():
+        for volume in service.get("volumes") or ():
+            if volume.get("type") == "bind" and (path := project.relative(literal(volume["source"]))):
+                read_only = bool(volume.get("read_only"))
+                yield Mount(service=name, path=path, target=volume["target"], read_only=read_only)
+        for volume in service.get("volumes") or ():
+            named = (model.get("volumes") or {}).get(volume.get("source") or "") or {}
+            device = str((named.get("driver_opts") or {}).get("device") or "")
+            if volume.get("type") == "volume" and (path := project.relative(literal(device))):
+                yield Mount(service=name, path=path, target=volume["target"], read_only=False)
+        for kind in ("config", "secret"):
+            for use in service.get(f"{kind}s") or ():
+                file = (model.get(f"{kind}s") or {}).get(use["source"], {}).get("file")
+                if file and (path := project.relative(literal(file))):
+                    target = str(use.get("target") or f"/{use['source']}")
+                    yield Mount(service=name, path=path, target=target, read_only=True, kind=kind)
+
+
+def literal(text: str) -> str:
+    """Text of the canonical model as containers see it: Compose writes a literal ``$`` as ``$$``."""
+    return text.replace("$$", "$")
+
+
+_DURATION = re.compile(r"([0-9.]+)(h|ms|us|ns|m|s)")
+_UNITS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def seconds(duration: str) -> float:
+    """A duration as Go and Compose write it (``1m30s``), in seconds."""
+    return sum(float(number) * _UNITS[unit] for number, unit in _DURATION.findall(duration))

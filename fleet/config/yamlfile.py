@@ -37,10 +37,11 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """A YAML file with a mapping at its top."""
+    """A YAML file with a mapping at its top; ``source`` is its text."""
 
     path: Path
     root: Entry
+    source: str = ""
 
     @property
     def value(self) -> dict[str, Value]:
@@ -144,7 +145,7 @@ def parse(source: str, *, path: Path, error: type[UsageError]) -> tuple[Document
     if not isinstance(root.value, dict):
         kind = "a list" if isinstance(root.value, list) else "a single value"
         raise error(f"{path}:1: holds {kind}", cure="a mapping is needed here: lines like `key: value`")
-    return Document(path=path, root=root), tuple(builder.problems)
+    return Document(path=path, root=root, source=source), tuple(builder.problems)
 
 
 # What PyYAML says, what it means, the cure.

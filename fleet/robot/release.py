@@ -1,7 +1,8 @@
-"""What exactly should this robot run? A release: the stack, the exact images, this robot's environment and files.
+"""What exactly should this robot run of a stack? A release: the stack, the exact images, and the project's files.
 
-On the robot it is a directory that works by hand (``docker compose up -d`` in it): the person's ``compose.yaml`` as it
-is, a ``compose.override.yaml`` that pins the images, ``.env`` and ``files/``. Compose reads the first three by itself.
+On the robot it is a folder that works by hand (``docker compose up -d`` in it). Its ``compose.yaml`` is Compose's own
+canonical model with this robot's values, images pinned by what they are, and absolute paths. ``project/`` holds what
+containers see read-only; ``seeds/`` what becomes the robot's own data (see `fleet.config.project_files`).
 """
 
 from __future__ import annotations
@@ -11,120 +12,222 @@ import io
 import json
 import re
 import tarfile
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
 
-from fleet.errors import InventoryError
-from fleet.ros import environment as ros
+from fleet.config.compose import HOME
+from fleet.config.project_files import File, ProjectFiles, on_robot
+from fleet.config.stack import literal
+from fleet.robot import paths
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
-    from fleet.config.inventory import Robot
-    from fleet.config.stack import Stack
+    from fleet.config.compose import Project
+    from fleet.config.stack import Service, Stack
     from fleet.images.image import Image
+
+_ID = "id-of-the-release"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
     """One robot's release. ``id`` is derived from all the rest: the same content is the same release, anywhere.
 
-    ``files`` maps paths below the release's directory to their bytes.
+    ``compose`` is the text of its Compose file, in which `fleet.config.compose.HOME` stands for the login's home.
+    ``folders`` are those of the robot's data that must exist, ``seeds`` the files that it starts with.
     """
 
     id: str
     stack: str
     robot: str
-    services: tuple[str, ...]
+    services: Mapping[str, Service]
     images: tuple[Image, ...]
-    files: Mapping[str, bytes]
+    compose: str
+    project: Mapping[str, File] = field(default_factory=dict)
+    seeds: Mapping[str, File] = field(default_factory=dict)
+    folders: tuple[str, ...] = ()
 
-    @property
-    def checksum(self) -> str:
-        """What `fleet.robot.probe.probe` says of the directory of this release while all of its files are right."""
-        digests = {f"./{name}": hashlib.sha256(data).hexdigest() for name, data in self.files.items()}
-        listing = "".join(f"{digests[name]}  {name}\n" for name in sorted(digests, key=str.encode))
-        return hashlib.sha256(listing.encode()).hexdigest()
+    def files(self, home: str) -> dict[str, File]:
+        """The files of the release's folder, for a login whose home directory is ``home``."""
+        text = self.compose.replace(HOME, json.dumps(home.replace("$", "$$"), ensure_ascii=False)[1:-1])
+        return {
+            # Only the login reads it: the robot's values are in it, tokens among them.
+            "compose.yaml": File(data=text.encode(), mode=0o600),
+            **{f"project/{name}": file for name, file in self.project.items()},
+            **{f"seeds/{name}": file for name, file in self.seeds.items()},
+        }
 
-    def archive(self) -> bytes:
-        """The release's directory as a tar archive; the same bytes every time."""
+    def checksum(self, home: str) -> str:
+        """What the probe says of the folder of this release while all of its files are right."""
+        regular = {name: file.data for name, file in self.files(home).items() if file.link is None}
+        lines = (f"{hashlib.sha256(regular[name]).hexdigest()}  ./{name}\n" for name in _sorted(regular))
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+    def archive(self, home: str) -> bytes:
+        """The release's folder as a tar archive; the same bytes every time."""
         buffer = io.BytesIO()
+        files = self.files(home)
         with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-            folder = tarfile.TarInfo("files")
-            folder.type, folder.mode = tarfile.DIRTYPE, 0o755
-            archive.addfile(folder)
-            for name, data in sorted(self.files.items()):
+            for folder in _folders(files):
+                entry = tarfile.TarInfo(folder)
+                entry.type, entry.mode = tarfile.DIRTYPE, 0o755
+                archive.addfile(entry)
+            for name, file in sorted(files.items()):
                 entry = tarfile.TarInfo(name)
-                # .env may hold what only the robot's login should read; bind-mounted files are read by containers.
-                entry.size, entry.mode = len(data), 0o600 if name == ".env" else 0o644
-                archive.addfile(entry, io.BytesIO(data))
+                entry.size, entry.mode = len(file.data), file.mode
+                if file.link is not None:
+                    entry.type, entry.linkname, entry.size = tarfile.SYMTYPE, file.link, 0
+                archive.addfile(entry, io.BytesIO(file.data))
             end = archive.offset + 2 * tarfile.BLOCKSIZE
         return buffer.getvalue()[:end]  # Python fills it up to 10 kB, for tapes
 
 
-def compose(*, robot: Robot, stack: Stack, find: Callable[[str, str], Image]) -> Release:
-    """One robot's release; ``find`` gives the local image of a name and a platform.
+def compose(
+    *,
+    robot: str,
+    stack: Stack,
+    project: Project,
+    files: ProjectFiles,
+    images: Mapping[str, Image],
+    secrets: Mapping[str, str] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Release:
+    """One robot's release of a stack; ``images`` has the local image of each service.
 
-    Raises:
-        ImageError: from ``find``.
-        InventoryError: a file to bind-mount cannot be read.
-
+    ``secrets`` are the values of ``environment:`` configs and secrets, which become files. ``settings`` is what else
+    makes a difference to the robot and so to the release's id.
     """
-    environment = {**robot.environment, **ros.environment(robot), "FLEET_ROBOT": robot.name}
-    images = {service: find(name, robot.platform) for service, name in stack.images.items()}
-    files = {f"files/{name}": _read(path) for name, path in robot.files.items()}
-    texts = {"compose.yaml": stack.text, ".env": dotenv(dict(sorted(environment.items())))}
+    rendering = _Rendering(stack, project=project, data=files.data)
+    model = rendering.model(images, values=secrets or {})
+    ours = {**files.files, **rendering.files}
     content = {
-        "name": stack.name,
-        "texts": texts,
-        "files": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
+        "model": model,
+        "project": {name: file.digest for name, file in ours.items()},
+        "seeds": {name: file.digest for name, file in files.seeds.items()},
+        "folders": files.folders,
         "images": {service: image.fingerprint for service, image in images.items()},
+        "settings": settings or {},
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot.name}
-    texts["compose.override.yaml"] = _override(stack=stack, images=images, labels=labels)
+    labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
+    for service in model["services"].values():
+        service["labels"] = {**(service.get("labels") or {}), **labels}
     return Release(
         id=digest,
         stack=stack.name,
-        robot=robot.name,
-        services=tuple(images),
+        robot=robot,
+        services=stack.services,
         images=tuple({image.shipped_as: image for image in images.values()}.values()),
-        files={**files, **{name: text.encode() for name, text in texts.items()}},
+        compose=_text(model).replace(_ID, digest),
+        project=ours,
+        seeds=files.seeds,
+        folders=files.folders,
     )
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as problem:
-        raise InventoryError(
-            f"cannot read {path}: {problem.strerror}", cure="see `files:` in the inventory"
-        ) from problem
+class _Rendering:
+    """A stack's model as a robot gets it: pinned, with paths of the robot, and readable for old versions of Compose."""
+
+    def __init__(self, stack: Stack, *, project: Project, data: frozenset[str]) -> None:
+        self.files: dict[str, File] = {}
+        self._stack = stack
+        self._project = project
+        self._data = data
+        self._stacks_folder = f"{HOME}/{paths.stack(stack.name)}"
+
+    def model(self, images: Mapping[str, Image], *, values: Mapping[str, str]) -> dict[str, Any]:
+        """The whole model; files that it needs beside those of the project go to ``files``."""
+        source = json.loads(json.dumps(self._stack.model))
+        model = {key: value for key, value in source.items() if not key.startswith("x-") and value}
+        for name, service in model["services"].items():
+            image = images[name]
+            model["services"][name] = self._service(service, image)
+        for volume in (model.get("volumes") or {}).values():
+            options = (volume or {}).get("driver_opts") or {}
+            if "device" in options:
+                options["device"] = self._moved(options["device"])
+        for kind in ("configs", "secrets"):
+            for name, one in (model.get(kind) or {}).items():
+                model[kind][name] = self._given(kind, name, one, values)
+        return model
+
+    def _service(self, service: dict[str, Any], image: Image) -> dict[str, Any]:
+        left_out = ("build", "develop", "profiles", "pull_policy", "image", "platform")
+        kept = {key: value for key, value in service.items() if key not in left_out and not key.startswith("x-")}
+        for key in ("command", "entrypoint"):  # Compose before 2.6 does not read `null` here
+            if kept.get(key, ...) is None:
+                del kept[key]
+        kept |= {"image": image.shipped_as, "platform": image.platform}
+        for volume in kept.get("volumes") or ():
+            if volume.get("type") == "bind":
+                volume["source"] = self._moved(volume["source"])
+                # From Compose 5 on this is the default and left out; older ones would refuse a missing folder.
+                volume["bind"] = {"create_host_path": True, **(volume.get("bind") or {})}
+        return _for_old_versions(kept)
+
+    def _moved(self, source: str) -> str:
+        """A path on this computer as the robot has it; an absolute one is the robot's own and stays."""
+        path = self._project.relative(literal(source))
+        if path is None:
+            return source
+        name = on_robot(path)
+        place = "data" if name in self._data else f"releases/{_ID}/project"
+        whole = str(PurePosixPath(self._stacks_folder) / place / name)
+        return whole.replace("$", "$$")
+
+    def _given(self, kind: str, name: str, one: Any, values: Mapping[str, str]) -> Any:  # noqa: ANN401  a model's value
+        """A config or a secret as a file: what old versions of Compose do not know becomes one."""
+        if not isinstance(one, dict):
+            return one
+        rest = {key: value for key, value in one.items() if key not in ("file", "content", "environment")}
+        if "file" in one:
+            return {**rest, "file": self._moved(one["file"])}
+        if "content" in one or "environment" in one:
+            text = literal(one["content"]) if "content" in one else values.get(one["environment"], "")
+            inside = f"{kind}/{name}"
+            self.files[inside] = File(data=text.encode(), mode=0o600 if kind == "secrets" else 0o644)
+            folder = PurePosixPath(self._stacks_folder) / "releases" / _ID / "project"
+            return {**rest, "file": str(folder / inside)}
+        return one
 
 
-def dotenv(environment: Mapping[str, str]) -> str:
-    """Variables as a ``.env`` file that Compose reads back exactly.
+def _for_old_versions(service: dict[str, Any]) -> dict[str, Any]:
+    """The same service in words that Compose from 2.5 on reads; the canonical model uses those of today."""
+    for condition in (service.get("depends_on") or {}).values():
+        if isinstance(condition, dict) and condition.get("required") is True:
+            del condition["required"]  # the default, and known from 2.20 on
+    if devices := service.get("devices"):  # mappings are known from 2.33 on
+        service["devices"] = [
+            ":".join((one["source"], one.get("target") or one["source"], one.get("permissions") or "rwm"))
+            if isinstance(one, dict)
+            else one
+            for one in devices
+        ]
+    if hosts := service.get("extra_hosts"):  # `name=address` is known from 2.24 on
+        service["extra_hosts"] = [host.replace("=", ":", 1) for host in hosts] if isinstance(hosts, list) else hosts
+    if gpus := service.pop("gpus", None):  # known from 2.30 on
+        wanted = [{"capabilities": ["gpu"], **one} for one in gpus]
+        reserved = service.setdefault("deploy", {}).setdefault("resources", {}).setdefault("reservations", {})
+        reserved["devices"] = [*(reserved.get("devices") or ()), *wanted]
+    return service
 
-    Single quotes keep everything but a quote and a backslash before one; such values go into double quotes, with
-    Compose's escapes (docs.docker.com/compose/how-tos/environment-variables/variable-interpolation, ".env file syntax").
-    """
-    return "".join(f"{name}={_quoted(value)}\n" for name, value in environment.items())
+
+# What YAML does not allow as it is: control characters, and a few that end a line.
+_UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 
 
-def _quoted(value: str) -> str:
-    if re.fullmatch(r"[\w./:@%+,-]*", value, flags=re.ASCII):
-        return value
-    if not {"'", "\n"} & set(value) and not value.endswith("\\"):
-        return f"'{value}'"
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("$", "\\$").replace("\n", "\\n")
-    return f'"{escaped}"'
+def _text(model: Mapping[str, Any]) -> str:
+    """A model as text. JSON is YAML, and quotes itself: every value stays as it is, byte for byte."""
+    text = json.dumps(model, indent=2, ensure_ascii=False)
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text) + "\n"
 
 
-def _override(*, stack: Stack, images: Mapping[str, Image], labels: Mapping[str, str]) -> str:
-    """The pins of a release. JSON is YAML, and quotes itself."""
-    services = {
-        name: {"image": image.shipped_as, "platform": image.platform, "labels": labels}
-        for name, image in images.items()
-    }
-    return json.dumps({"name": stack.name, "services": services}, indent=2) + "\n"
+def _sorted(names: Mapping[str, Any]) -> list[str]:
+    return sorted(names, key=str.encode)
+
+
+def _folders(files: Mapping[str, File]) -> list[str]:
+    above = {parent.as_posix() for name in files for parent in PurePosixPath(name).parents}
+    return sorted(above - {"."})

@@ -1,0 +1,261 @@
+#!/bin/sh
+# bring the containers of a stack to a release, watch them, and go back if they do not run
+#
+# usage: swap.sh VERB STACK RELEASE BY WAIT SETTLE CONFLICT [SERVICE=POLICY ...]
+#
+# VERB is ship, rollback, start, restart or stop. BY is who asked for it (tim@desktop). WAIT is how many seconds the
+# containers may take to become healthy, SETTLE how many a container without a health check must run without a restart.
+# CONFLICT is robot or desktop: whose version of a file wins that both have changed. The services are those that must
+# run, each with the restart policy of the file: no, on-failure or always.
+#
+# One process at a time holds the lock, and the journal says what it is about to do. The result is written by this
+# process, in the same breath as `current`, so that nobody has to be connected to hear it.
+set -u
+verb=$1 stack=$2 release=$3 by=$4 wait=$5 settle=$6 conflict=$7
+shift 7
+fleet=$HOME/.fleet
+here=$fleet/stacks/$stack
+busy=75
+turn=${FLEET_TURN:-240} # seconds to wait for another command on this robot
+
+say() { printf '%s\n' "$*"; }
+fail() {
+    say "$*" >&2
+    exit 1
+}
+
+# A file that must be there after a power cut: written beside, synced, renamed, and the folder synced too.
+durable() { sync "$@" 2>/dev/null || sync; }
+put() {
+    cat >"$1.new" && durable "$1.new" && mv -f "$1.new" "$1" && durable "${1%/*}"
+}
+
+# --- One at a time
+
+exec 9>>"$fleet/lock"
+if ! flock -n 9; then
+    read -r holder <"$fleet/holder" 2>/dev/null || holder='another command'
+    say "note: waits for $holder"
+    flock -w "$turn" 9 || {
+        say "$holder has not ended after $turn s" >&2
+        exit "$busy"
+    }
+fi
+say "$by, who runs \`fab $verb\` since $(date +%H:%M:%S)" >"$fleet/holder"
+
+# --- What is there
+
+folder() { printf '%s/releases/%s' "$here" "$1"; }
+[ -e "$(folder "$release")/compose.yaml" ] ||
+    fail "release $release is not on this robot any more; another command has removed it"
+before=$(readlink "$here/current" 2>/dev/null) || before=
+before=${before##*/}
+[ -z "$before" ] || [ -e "$(folder "$before")/compose.yaml" ] || before=
+
+compose() { # RELEASE ARGUMENT...
+    cd "$(folder "$1")" || return 1
+    shift
+    if [ -e compose.override.yaml ]; then # a release of the first version of fleet
+        env -u COMPOSE_FILE -u COMPOSE_PROFILES docker compose "$@" 9>&-
+    else
+        env -u COMPOSE_PROFILES docker compose --project-name "$stack" --file compose.yaml "$@" 9>&-
+    fi
+}
+
+ours() { docker ps --all --no-trunc --filter "label=com.docker.compose.project=$stack" "$@"; }
+
+# A swap that was cut leaves containers that were created and never started; Compose trips over their names.
+clear_half_made() {
+    ours --quiet --filter status=created | xargs -r docker rm --force >/dev/null 2>&1
+}
+
+journal() { # PHASE
+    printf '%s %s %s %s %s %s\n' "$1" "$verb" "$release" "${before:--}" "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" |
+        put "$here/journal"
+}
+
+note_history() { # RELEASE OUTCOME
+    line=$(printf '%s\t%s\t%s\t%s\t%s' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$verb" "$1" "$by" "$2" | tr '\n' ' ')
+    # A line that a power cut has torn, or that ends in NUL bytes, is not continued.
+    {
+        tr -d '\000' <"$here/history" 2>/dev/null | sed -n '/./p'
+        printf '%s\n' "$line"
+    } | put "$here/history"
+}
+
+become_current() {
+    ln -sfn "releases/$1" "$here/current.new" && mv -fT "$here/current.new" "$here/current" && durable "$here"
+}
+
+# --- The robot's own data
+
+# dpkg's rule for configuration files: `delivered` says what was laid there last. What the robot has not changed is
+# updated; what it has changed is kept; what both have changed is kept too, and said, with the new one laid beside it.
+digest() {
+    if [ -L "$1" ]; then
+        readlink "$1" | sha256sum | cut -c1-64
+    elif [ -f "$1" ]; then
+        sha256sum <"$1" | cut -c1-64
+    elif [ -e "$1" ]; then
+        echo other
+    fi
+}
+lay() { # FROM TO
+    mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
+}
+delivered() { awk -v path="$1" 'substr($0, 66) == path { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
+merge_data() {
+    seeds=$(folder "$release")/seeds
+    mkdir -p "$here/data"
+    [ -d "$seeds" ] || return 0
+    find "$seeds" ! -type d -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
+    : >"$here/delivered.new"
+    while IFS= read -r path; do
+        new=$(digest "$seeds/$path") now=$(digest "$here/data/$path") last=$(delivered "$path")
+        case $now in
+            "$new") ;;
+            '')
+                # Never delivered: the robot gets it. Delivered, and removed by the robot: it stays removed.
+                if [ -z "$last" ]; then lay "$seeds/$path" "$here/data/$path" || return 1; fi
+                ;;
+            "$last") lay "$seeds/$path" "$here/data/$path" || return 1 ;;
+            *)
+                if [ "$new" != "$last" ]; then
+                    if [ "$conflict" = desktop ]; then
+                        mv -fT "$here/data/$path" "$here/data/$path.from-robot" && lay "$seeds/$path" "$here/data/$path" || return 1
+                        say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
+                    else
+                        lay "$seeds/$path" "$here/data/$path.from-desktop" || return 1
+                        say "note: $path was changed on the robot too: kept, the new one is $path.from-desktop"
+                    fi
+                fi
+                ;;
+        esac
+        printf '%s %s\n' "$new" "$path" >>"$here/delivered.new"
+    done <"$here/delivered.list"
+    # Files that this release does not deliver any more keep their entry: the robot's stay as they are.
+    if [ -e "$here/delivered" ]; then
+        awk 'NR == FNR { seen[substr($0, 66)]; next } !(substr($0, 66) in seen)' "$here/delivered.new" "$here/delivered" >"$here/delivered.rest"
+        cat "$here/delivered.rest" >>"$here/delivered.new"
+    fi
+    durable "$here/delivered.new" && mv -f "$here/delivered.new" "$here/delivered"
+    rm -f "$here/delivered.list" "$here/delivered.rest"
+}
+data_folders() {
+    if [ -e "$(folder "$release")/data-folders" ]; then
+        while IFS= read -r path; do mkdir -p "$here/data/$path" || return 1; done <"$(folder "$release")/data-folders"
+    fi
+}
+
+# --- Watching
+
+# id, service, state, exit code, restarts, health, restart policy
+template='{{.Id}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}} {{.HostConfig.RestartPolicy.Name}} '
+states() { ours --quiet | xargs -r docker inspect --format "$template" 2>/dev/null; }
+
+# One line: `ok`, `wait WHY` or `bad WHY`. A container that was there before may have restarted in an earlier life.
+judge() { # SECONDS
+    states | awk -v settled="$([ "$1" -ge "$settle" ] && echo yes)" -v wanted="$wanted" -v earlier="$earlier" '
+        BEGIN {
+            n = split(wanted, pairs, " ")
+            for (i = 1; i <= n; i++) { split(pairs[i], pair, "="); policy[pair[1]] = pair[2] }
+            n = split(earlier, pairs, " ")
+            for (i = 1; i <= n; i++) { split(pairs[i], pair, "="); count[pair[1]] = pair[2] }
+        }
+        !($2 in policy) { next }
+        { seen[$2] = 1 }
+        $5 > count[$1] + 0 { bad = bad $2 " has restarted (exit code " $4 "); "; next }
+        $3 == "restarting" { bad = bad $2 " ends again and again (exit code " $4 "); "; next }
+        $3 == "exited" && $4 == 0 && policy[$2] != "always" { next }
+        $3 == "exited" || $3 == "dead" { bad = bad $2 " has ended with code " $4 "; "; next }
+        $3 != "running" { wait = wait $2 " is " $3 "; "; next }
+        $6 == "unhealthy" { bad = bad $2 " is unhealthy; "; next }
+        $6 == "starting" { wait = wait $2 " is not healthy yet; "; next }
+        $6 == "none" && !settled { wait = wait $2 " has no health check; " }
+        END {
+            for (name in policy) if (!seen[name]) bad = bad name " has no container; "
+            if (bad) print "bad " substr(bad, 1, length(bad) - 2)
+            else if (wait) print "wait " substr(wait, 1, length(wait) - 2)
+            else print "ok"
+        }'
+}
+
+watch() {
+    began=$(date +%s)
+    while :; do
+        passed=$(($(date +%s) - began))
+        verdict=$(judge "$passed")
+        case $verdict in
+            ok) return 0 ;;
+            bad*)
+                why=${verdict#bad }
+                return 1
+                ;;
+        esac
+        if [ "$passed" -ge "$wait" ]; then
+            why="${verdict#wait } after $passed s"
+            return 1
+        fi
+        sleep 1
+    done
+}
+
+up() { # RELEASE
+    earlier=$(states | awk '{ printf "%s=%s ", $1, $5 }')
+    compose "$1" up --detach --no-build --pull never --remove-orphans
+}
+
+# --- The swap
+
+wanted=$*
+case $verb in
+    stop)
+        compose "$release" stop || exit 1
+        note_history "$release" "done"
+        exit 0
+        ;;
+esac
+
+journal begin
+clear_half_made
+why=
+if merge_data && data_folders; then
+    journal swap
+    if [ "$verb" = restart ]; then compose "$release" restart || why='Compose could not restart it'; fi
+    if output=$(up "$release" 2>&1); then
+        watch && why=
+    else
+        why=$(printf '%s\n' "$output" | sed -n '/[^ ]/p' | tail -n 12)
+        [ -n "$why" ] || why='Compose could not start it'
+    fi
+else
+    why="the data folder cannot be written: $(df -Ph "$here" | awk 'NR == 2 { print $4 " free" }')"
+fi
+
+if [ -z "$why" ]; then
+    become_current "$release"
+    note_history "$release" "done"
+    rm -f "$here/journal"
+    exit 0
+fi
+
+say "$why" >&2
+compose "$release" logs --no-color --no-log-prefix --tail 8 2>/dev/null | tail -n 40 >&2
+clear_half_made
+if [ "$release" = "$before" ]; then
+    note_history "$release" "failed: $why"
+elif [ -n "$before" ]; then
+    journal back
+    note_history "$release" "failed: $why"
+    if up "$before" >/dev/null 2>&1; then
+        say "note: went back to release $before"
+    else
+        say "and release $before could not be started again: see \`docker ps -a\` on the robot" >&2
+    fi
+else
+    note_history "$release" "failed: $why"
+    compose "$release" stop >/dev/null 2>&1
+    say 'note: stopped it, as nothing ran before'
+fi
+rm -f "$here/journal"
+exit 1
