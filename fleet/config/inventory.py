@@ -26,7 +26,7 @@ from fleet.config.selection import choose
 from fleet.errors import InventoryError, SelectionError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pydantic_core import ErrorDetails
 
@@ -37,6 +37,14 @@ Platform = Literal["linux/arm64", "linux/arm/v7", "linux/amd64"]
 
 def _group(value: object) -> object:
     return {"robots": value or []} if value is None or isinstance(value, list) else value
+
+
+def _stack(value: object) -> object:
+    return {"files": [value]} if isinstance(value, str) else value
+
+
+def _stacks(value: object) -> object:
+    return value if isinstance(value, list) else [value]
 
 
 def _robot(value: object) -> object:
@@ -112,6 +120,32 @@ class Docker(Frozen):
     log_max_file: int = Field(default=3, ge=1, description="Log files kept per container.")
 
 
+class StackValues(Frozen):
+    """A stack: its Compose files, and how it is sent and watched."""
+
+    files: Annotated[list[Text], Field(min_length=1)] = Field(
+        description="Compose files, relative to this file; later ones are merged over earlier ones, as `docker compose -f`."
+    )
+    outside: list[Text] | None = Field(
+        default=None,
+        description="Folders outside the Compose file's folder whose files may be sent to robots.",
+    )
+    settle: Annotated[int, Field(ge=0, le=3600)] = Field(
+        default=10,
+        description="Seconds that a container without a health check must run without a restart.",
+    )
+    wait: Annotated[int, Field(ge=1, le=86400)] | None = Field(
+        default=None,
+        description="Seconds that containers may take to become healthy. Default: 180, and the longest start_period.",
+    )
+
+
+_Stack = Annotated[StackValues, BeforeValidator(_stack, json_schema_input_type=StackValues | Text)]
+Stacks = Annotated[
+    list[_Stack], Field(min_length=1), BeforeValidator(_stacks, json_schema_input_type=list[_Stack] | StackValues | Text)
+]
+
+
 class Values(Frozen):
     """What a robot, a group or the defaults may say."""
 
@@ -132,6 +166,12 @@ class Values(Frozen):
     docker: Docker | None = Field(default=None, description="How Docker gets onto the robot.")
     environment: Annotated[Environment, _CLOSED] | None = Field(
         default=None, description="Variables for the stack: `${NAME}` in its Compose file."
+    )
+    pass_environment: list[Annotated[str, Field(pattern=validation.VARIABLE)]] | None = Field(
+        default=None, description="Variables for the stack whose values are those of your shell: tokens, for example."
+    )
+    stack: Stacks | None = Field(
+        default=None, description="The stack, or the stacks, in place of the one of the whole inventory."
     )
     files: Annotated[Files, _CLOSED] | None = Field(
         default=None,
@@ -169,7 +209,11 @@ class Include(Frozen):
 class InventoryFile(Frozen):
     """Who the robots are, and what each of them gets."""
 
-    stack: Text = Field(default="docker/compose.yaml", description="Compose file of what runs on the robots.")
+    stack: Stacks = Field(
+        default=[StackValues(files=["docker/compose.yaml"])],
+        description="What runs on the robots: a Compose file, or a list of stacks.",
+        validate_default=False,
+    )
     known_hosts: Text = Field(default="known_hosts", description="Host keys, recorded by `fab trust`.")
     include: list[Include] | None = Field(
         default=None, description="Other inventories whose robots join, with their own defaults and groups."
@@ -179,6 +223,15 @@ class InventoryFile(Frozen):
         default=None, description="Named sets of robots, with values for them."
     )
     robots: Annotated[dict[Name, _Robot], _CLOSED] | None = Field(default=None, description="The robots.")
+
+
+class StackFiles(Frozen):
+    """Where one stack is written, with absolute paths; times are in seconds."""
+
+    files: tuple[Path, ...]
+    outside: tuple[Path, ...] = ()
+    settle: int = 10
+    wait: int | None = None
 
 
 class Robot(Frozen):
@@ -196,7 +249,9 @@ class Robot(Frozen):
     ros: Ros = Field(default_factory=Ros)
     docker: Docker = Field(default_factory=Docker)
     environment: dict[str, str] = {}
+    pass_environment: tuple[str, ...] = ()
     files: dict[str, Path] = {}
+    stacks: tuple[StackFiles, ...] = ()
     known_hosts: Path = Path("known_hosts")
 
     def __hash__(self) -> int:
@@ -209,7 +264,6 @@ class Inventory:
     """The fleet: ``robots`` in file order, ``groups`` (``all`` is one) as names of robots in that order."""
 
     path: Path
-    stack: Path
     known_hosts: Path
     robots: Mapping[str, Robot]
     groups: Mapping[str, tuple[str, ...]]
@@ -233,11 +287,17 @@ def load(path: Path) -> Inventory:
         raise InventoryError(heading + "\n  ".join(problems))
     return Inventory(
         path=path,
-        stack=found.stack,
         known_hosts=found.known_hosts,
-        robots={name: Robot.model_validate(draft.values) for name, draft in found.drafts.items()},
+        robots={name: _finished(draft.values, stacks=found.stacks) for name, draft in found.drafts.items()},
         groups=found.groups,
     )
+
+
+def _finished(values: Mapping[str, Any], *, stacks: Sequence[Mapping[str, Any]]) -> Robot:
+    """A robot of its merged values; ``stacks`` are the inventory's, for robots that name none of their own."""
+    values = {**values, "stacks": values.get("stack") or stacks}
+    values.pop("stack", None)
+    return Robot.model_validate(values, strict=False)
 
 
 def json_schema() -> dict[str, Any]:
@@ -255,7 +315,7 @@ def _check(document: Document) -> tuple[dict[str, Any], list[merge.Complaint]]:
         pairs = zip(errors, complaints, strict=True)
         unsound = [where[:-1] if error["type"] == "missing" else where for error, (where, _) in pairs]
         file, _ = _validated(document.without(unsound))
-    always = {"stack": file.stack, "known_hosts": file.known_hosts}
+    always = {"stack": [one.model_dump() for one in file.stack], "known_hosts": file.known_hosts}
     return {**file.model_dump(exclude_unset=True), **always}, complaints
 
 
@@ -273,6 +333,8 @@ def _written_at(location: tuple[str | int, ...], document: Document) -> Location
             return tuple(steps)
         case ("groups", group, "robots", *steps) if document.texts(("groups", group)):
             return ("groups", group, *steps)
+        case _ if "stack" in location:
+            return document.written(location)
         case _:
             return location
 
@@ -295,6 +357,8 @@ def _model_at(location: Location) -> type[Frozen]:
     if not location:
         return InventoryFile
     outer: _Models = {"include": Include, "defaults": Values, "groups": GroupValues, "robots": RobotValues}
-    inner: _Models = {"ros": Ros, "docker": Docker}
+    inner: _Models = {"ros": Ros, "docker": Docker, "stack": StackValues}
+    if location[0] == "stack":
+        return StackValues
     depth = 1 if location[0] == "defaults" else 2
-    return inner[location[-1]] if len(location) > depth else outer[location[0]]
+    return inner[location[depth]] if len(location) > depth else outer[location[0]]

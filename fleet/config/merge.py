@@ -42,7 +42,7 @@ class Draft:
 class Roster:
     """What one file and all it includes bring. Paths are absolute; robots and groups are in file order."""
 
-    stack: Path = Path()
+    stacks: tuple[Plain, ...] = ()
     known_hosts: Path = Path()
     drafts: dict[str, Draft] = field(default_factory=dict)
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -127,7 +127,7 @@ class _File:
         for name, values in (self._plain.get("groups") or {}).items():
             self._add_group(name, values)
         return Roster(
-            stack=self._path(self._plain["stack"]),
+            stacks=self._stacks(self._plain["stack"]),
             known_hosts=self._path(self._plain["known_hosts"]),
             drafts=self._drafts,
             groups=self._groups,
@@ -204,8 +204,10 @@ class _File:
         said = {
             k: v
             for k, v in values.items()
-            if v is not None or k not in {"ros", "docker", "environment", "files"}
+            if v is not None or k not in {"ros", "docker", "environment", "files", "stack", "pass_environment"}
         }
+        if "stack" in said:
+            said["stack"] = self._stacks(said["stack"])
         if said.get("identity_file") is not None:
             said["identity_file"] = self._path(said["identity_file"])
         if "environment" in said:
@@ -226,6 +228,17 @@ class _File:
                 "script": str(self._file((*location, "docker", "script"), script)),
             }
         return said
+
+    def _stacks(self, stacks: Sequence[Plain]) -> tuple[Plain, ...]:
+        """The stacks with absolute paths."""
+        return tuple(
+            {
+                **{key: value for key, value in stack.items() if value is not None},
+                "files": tuple(self._path(written) for written in stack["files"]),
+                "outside": tuple(self._path(written) for written in stack.get("outside") or ()),
+            }
+            for stack in stacks
+        )
 
     def _file(self, location: yamlfile.Location, written: str) -> Path:
         path = self._path(written)

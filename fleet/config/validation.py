@@ -71,6 +71,8 @@ _ELSEWHERE: Mapping[str, str] = {
 }
 
 _NUMBERS: Mapping[str, str] = {
+    "settle": "must be a whole number of seconds, 0 to 3600",
+    "wait": "must be a whole number of seconds, 1 to 86400",
     "port": "must be a whole number from 1 to 65535",
     "log_max_file": "must be a whole number, 1 or more",
 }
@@ -90,6 +92,7 @@ _KINDS: Mapping[str, str] = {
     "list_type": "must be a list",
     "bool_type": "must be true or false",
     "missing": "is missing",
+    "too_short": "must name at least one",
 }
 
 

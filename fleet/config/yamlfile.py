@@ -52,6 +52,17 @@ class Document:
         """The line, from 1, of ``location``: keys and list positions from the top. The nearest that exists."""
         return self._entry(location)[0].line
 
+    def written(self, location: Location) -> Location:
+        """A location without the steps that a short form leaves out: ``stack[0].files[0]`` is ``stack`` in ``stack: x``."""
+        steps: list[str | int] = []
+        for step in location:
+            entry, _ = self._entry(steps)
+            if not entry.inside:
+                break
+            if step in entry.inside or isinstance(step, str):
+                steps.append(step)
+        return steps
+
     def texts(self, location: Location) -> tuple[str | None, ...]:
         """The items of the list at ``location`` as written; empty where there is no list."""
         entry, found = self._entry(location)
