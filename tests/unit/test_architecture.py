@@ -86,6 +86,7 @@ UNTESTED = {
 }
 ABOUT_MORE = {
     "architecture": "",
+    "cli.json_contract": "",
     "cli.verbs": "",
     "ssh.logins": "",
     "ssh.networks": "",
