@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bench import barepool
 from bench.pairs import Cost, compare, spend
-from fleet.robot.probe import MARK, probe
+from fleet.robot import probe
 from tests.support.sshd import Sshds
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Servers:
     def _bare(self) -> Cost:
         command = (sys.executable, str(Path(barepool.__file__)), str(self.ports))
         cost, said = spend(command, environment=self.environment)
-        if not all(f"{MARK} end" in answer for answer in json.loads(said)):
+        if not all(f"{probe.MARK} end" in answer for answer in json.loads(said)):
             raise RuntimeError("the bare pool did not get all answers")
         return cost
 
@@ -91,7 +91,7 @@ def _inventory(many: tuple[Sshd, ...], folder: Path) -> Path:
 
 
 def _ports(many: tuple[Sshd, ...], folder: Path) -> Path:
-    command = shlex.join(("timeout", "-k", "5", "30", "sh", "-c", probe()))
+    command = shlex.join(("timeout", "-k", "5", "30", *probe.command()))
     ports = [one.port for one in many]
     asked = {"command": command, "user": getpass.getuser(), "key": str(many[0].identity), "ports": ports}
     path = folder / "ports.json"

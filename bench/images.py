@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING
 
 from fleet.images import debian_base
 from fleet.images.docker_cli import buildkit_client, docker, docker_or_none
-from fleet.images.emulation import DEBIAN_ARCHITECTURES, desktop_platform
+from fleet.images.emulation import desktop_platform
 from fleet.images.image import tagged_for
+from fleet.platforms import DEBIAN_ARCHITECTURES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -75,8 +75,8 @@ def _climb(
         watch.told(line.robot.name, f"{why}; trying another way")
         outcome = attempt(line, make)
         sent += outcome.sent
-    because = f"{outcome.way}, because {why}" if why else outcome.way
-    return replace(outcome, sent=sent, way=because)
+    because = f"{outcome.transfer}, because {why}" if why else outcome.transfer
+    return replace(outcome, sent=sent, transfer=because)
 
 
 def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool, screen: Screen) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fleet.errors import FleetError
 from fleet.plan.outcome import failure
@@ -39,11 +39,11 @@ def row(name: str, seen: Facts | FleetError) -> Sequence[Cell]:
     return (
         (name, "bold"),
         ("yes", "green"),
-        (seen.current or "none", "" if seen.current else "dim"),
+        (seen.fleet.current or "none", "" if seen.fleet.current else "dim"),
         _containers(seen),
-        (seen.docker, "") if seen.engine == "ready" else (seen.engine, "red"),
+        (seen.docker.version, "") if seen.docker.state == "ready" else (seen.docker.state, "red"),
         _disk(seen),
-        _temperature(seen.temperature),
+        _temperature(seen.host.temperature),
     )
 
 
@@ -51,22 +51,24 @@ def good(seen: Facts | FleetError) -> bool:
     """Whether the robot answers and all it was sent runs well."""
     if isinstance(seen, FleetError):
         return False
-    return all(c.healthy and c.release == seen.current for c in seen.containers) and (
-        bool(seen.containers) or not seen.current
+    return all(c.healthy and c.release == seen.fleet.current for c in seen.fleet.containers) and (
+        bool(seen.fleet.containers) or not seen.fleet.current
     )
 
 
-def record(seen: Facts | FleetError) -> dict[str, object]:
+def record(seen: Facts | FleetError) -> dict[str, Any]:
     """One robot's state for programs."""
     if isinstance(seen, FleetError):
         return {"reachable": False, "reason": seen.what, "cure": seen.cure}
-    said = asdict(seen)
-    return {"reachable": True, "healthy": good(seen), **{key: said[key] for key in said if key != "images"}}
+    facts = asdict(seen)
+    for bulky in ("images", "image_store"):  # for planning; a program would ask Docker
+        del facts["fleet"][bulky]
+    return {"reachable": True, "healthy": good(seen), **facts}
 
 
 def events(seen: Facts | FleetError) -> tuple[Event, ...]:
     """A robot's history, oldest first."""
-    return () if isinstance(seen, FleetError) else history(seen.history)
+    return () if isinstance(seen, FleetError) else history(seen.fleet.history)
 
 
 def event_row(name: str, event: Event) -> Sequence[Cell]:
@@ -89,9 +91,9 @@ def problems(seen: Mapping[str, Facts | FleetError]) -> tuple[Outcome, ...]:
 
 
 def _containers(facts: Facts) -> Cell:
-    if not facts.containers:
-        return ("none", "red" if facts.current else "dim")
-    text = ", ".join(_container(container, facts.current) for container in facts.containers)
+    if not facts.fleet.containers:
+        return ("none", "red" if facts.fleet.current else "dim")
+    text = ", ".join(_container(container, facts.fleet.current) for container in facts.fleet.containers)
     return (text, "green" if good(facts) else "red")
 
 
@@ -109,10 +111,10 @@ def _container(container: Container, current: str) -> str:
 
 
 def _disk(facts: Facts) -> Cell:
-    if not facts.disk_size:
+    if not facts.disk.size:
         return ("", "")
-    share = facts.disk_free / facts.disk_size
-    return (f"{human_bytes(facts.disk_free)} ({share:.0%})", "red" if share < 0.1 else "")
+    share = facts.disk.free / facts.disk.size
+    return (f"{human_bytes(facts.disk.free)} ({share:.0%})", "red" if share < 0.1 else "")
 
 
 def _temperature(celsius: float | None) -> Cell:

@@ -10,6 +10,8 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
 from fleet.config.selection import did_you_mean
+from fleet.platforms import NAMES as PLATFORMS
+from fleet.platforms import PLATFORM_OF_MACHINE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -28,7 +30,6 @@ NAME = _whole(r"(?!all$)[A-Za-z0-9][A-Za-z0-9_.-]*")
 MEMBER = _whole(r"[A-Za-z0-9_.*?\[\]!-]+")
 ADDRESS = _whole(r"(?!-)(?:[^\s@/:\[\],]+|[^\s@/:\[\],]*(?::[^\s@/:\[\],]*){2,})")
 USER = _whole(r"(?!-)[^\s@:/]+")
-PLATFORMS = ("linux/arm64", "linux/arm/v7", "linux/amd64")
 MASTER = _whole(rf"own|http://(?:[^\s/:@\[\]]+|\[[0-9A-Fa-f:.]+\]):{_PORT}/?")
 HOSTNAME = _whole(r"[A-Za-z0-9](?:[A-Za-z0-9_.-]*[A-Za-z0-9])?")
 IP = _whole(r"[0-9]{1,3}(?:\.[0-9]{1,3}){3}|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*")
@@ -75,15 +76,6 @@ _NUMBERS: Mapping[str, str] = {
     "wait": "must be a whole number of seconds, 1 to 86400",
     "port": "must be a whole number from 1 to 65535",
     "log_max_file": "must be a whole number, 1 or more",
-}
-
-_MACHINES: Mapping[str, str] = {
-    "aarch64": "linux/arm64",
-    "arm64": "linux/arm64",
-    "armv7l": "linux/arm/v7",
-    "armhf": "linux/arm/v7",
-    "x86_64": "linux/amd64",
-    "amd64": "linux/amd64",
 }
 
 _KINDS: Mapping[str, str] = {
@@ -138,7 +130,7 @@ def wrong(kind: str, key: str, value: object) -> str:
     if key in _NUMBERS and kind.startswith(("int_", "greater_", "less_")):
         return f"{_NUMBERS[key]}, not {_shown(value)}"
     if kind == "literal_error":
-        hint = did_you_mean(_MACHINES.get(str(value), str(value)), PLATFORMS)
+        hint = did_you_mean(PLATFORM_OF_MACHINE.get(str(value), str(value)), PLATFORMS)
         return f"must be one of {', '.join(PLATFORMS)}" + (f"; {hint}" if hint else "")
     if kind == "string_type":
         cure = "; put it in quotes" if isinstance(value, bool | int | float) else ""

@@ -19,7 +19,8 @@ from typing import IO, TYPE_CHECKING
 
 from fleet.errors import DesktopError, UsageError
 from fleet.images.docker_cli import docker, docker_or_none, refusal
-from fleet.images.emulation import DEBIAN_ARCHITECTURES, runs
+from fleet.images.emulation import runs
+from fleet.platforms import DEBIAN_ARCHITECTURES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Which platforms can this desktop run, by itself or by emulation?
 
-Platforms are named as Docker names them: ``linux/arm64``. Debian and the kernel have names of their own.
+Platforms have Docker's names here: ``linux/arm64``. `fleet.platforms` has the other names.
 """
 
 from __future__ import annotations
@@ -9,25 +9,15 @@ import os
 import subprocess
 from pathlib import Path
 
+from fleet.platforms import ARM64, ARMV7, EMULATORS, PLATFORM_OF_MACHINE
+
 BINFMT = Path("/proc/sys/fs/binfmt_misc")
-
-DEBIAN_ARCHITECTURES = {"linux/amd64": "amd64", "linux/arm64": "arm64", "linux/arm/v7": "armhf"}
-"""Platform -> what dpkg calls it."""
-
-_MACHINES = {
-    "x86_64": "linux/amd64",
-    "aarch64": "linux/arm64",
-    "arm64": "linux/arm64",
-    "armv7l": "linux/arm/v7",
-    "armv8l": "linux/arm/v7",
-}
-_HANDLERS = {"linux/amd64": "qemu-x86_64", "linux/arm64": "qemu-aarch64", "linux/arm/v7": "qemu-arm"}
 
 
 def desktop_platform() -> str:
     """The platform this desktop runs without emulation."""
     machine = os.uname().machine
-    return _MACHINES.get(machine, f"linux/{machine}")
+    return PLATFORM_OF_MACHINE.get(machine, f"linux/{machine}")
 
 
 def emulates(platform: str, *, binfmt: Path = BINFMT) -> bool:
@@ -36,7 +26,7 @@ def emulates(platform: str, *, binfmt: Path = BINFMT) -> bool:
     In a container the emulator's file is missing: only a handler with flag F, which opened it at registration, works.
     """
     try:
-        lines = (binfmt / _HANDLERS[platform]).read_text().splitlines()
+        lines = (binfmt / EMULATORS[platform]).read_text().splitlines()
     except (OSError, KeyError):
         return False
     flags = next((line.removeprefix("flags:") for line in lines if line.startswith("flags:")), "")
@@ -50,11 +40,13 @@ def runs(platform: str) -> bool:
 
 def _is_native_32_bit(platform: str) -> bool:
     """Many 64-bit ARM processors run 32-bit programs themselves; arch-test tries one."""
-    if (desktop_platform(), platform) != ("linux/arm64", "linux/arm/v7"):
+    if (desktop_platform(), platform) != (ARM64.name, ARMV7.name):
         return False
     try:
         return (
-            subprocess.run(("arch-test", "armhf"), capture_output=True, timeout=20, check=False).returncode
+            subprocess.run(
+                ("arch-test", ARMV7.debian), capture_output=True, timeout=20, check=False
+            ).returncode
             == 0
         )
     except (OSError, subprocess.TimeoutExpired):

@@ -25,8 +25,8 @@ def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
 
     """
     release = _current(facts, robot=robot)
-    running = [container for container in facts.containers if container.state == "running"]
-    good = [container.healthy and container.release == release for container in facts.containers]
+    running = [container for container in facts.fleet.containers if container.state == "running"]
+    good = [container.healthy and container.release == release for container in facts.fleet.containers]
     if verb == "start" and good and all(good):
         return Plan(robot=robot.name, summary=f"release {release} runs")
     if verb == "stop" and not running:
@@ -49,7 +49,7 @@ def logs(*, robot: Robot, facts: Facts, follow: bool, tail: str, since: str, ser
     """
     release = _current(facts, robot=robot)
     options = ["logs", "--no-color", "--tail", tail]
-    if len({container.service for container in facts.containers}) < 2 or service:
+    if len({container.service for container in facts.fleet.containers}) < 2 or service:
         options += ["--no-log-prefix"]
     if since:
         options += ["--since", since]
@@ -61,9 +61,9 @@ def logs(*, robot: Robot, facts: Facts, follow: bool, tail: str, since: str, ser
 
 def _current(facts: Facts, *, robot: Robot) -> str:
     ready(facts, robot=robot)
-    if facts.current not in facts.releases:
+    if facts.fleet.current not in facts.fleet.releases:
         raise NotReady("nothing has been shipped to it", cure=f"`fab ship --hosts {robot.name}`")
-    return facts.current
+    return facts.fleet.current
 
 
 def _steps(verb: Verb, robot: Robot, release: str) -> tuple[Step, ...]:

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """The steps that bring images, nothing where none is missing; what they will take, and how they do it, in words."""
+    """The steps that bring the missing images. ``forecast`` says what they will take, ``transfer`` how they do it."""
 
     steps: tuple[Step, ...] = ()
     forecast: str = ""
-    way: str = ""
+    transfer: str = ""

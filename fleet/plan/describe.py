@@ -20,7 +20,7 @@ def headline(outcome: Outcome) -> str:
     if outcome.good:
         took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
         sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
-        sent += f" ({outcome.way})" if outcome.way else ""
+        sent += f" ({outcome.transfer})" if outcome.transfer else ""
         return f"{outcome.summary}{sent}{took}"
     first = outcome.reason.splitlines()[0] if outcome.reason else ""
     return f"{outcome.step}: {first}" if outcome.step else first

@@ -17,8 +17,8 @@ Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
 class Outcome:
     """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
 
-    ``way`` is how images were sent, and why so where another way had failed. ``unusable``: what was sent arrived, and the robot's
-    Docker cannot use it; another way of sending may help.
+    ``transfer`` is how the images were sent, with the reason if an earlier attempt had failed. ``unusable``: the bytes
+    arrived, and the robot's Docker cannot use them; another kind of transfer may help.
     """
 
     robot: str
@@ -29,7 +29,7 @@ class Outcome:
     cure: str = ""
     seconds: float = 0.0
     sent: int = 0
-    way: str = ""
+    transfer: str = ""
     unusable: bool = False
 
     @property

@@ -37,33 +37,35 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
         summary=" and ".join(step.title for step in steps),
         steps=steps,
         forecast=_frees(steps, facts),
-        record=Record(verb="prune", release=facts.current, by=by),
+        record=Record(verb="prune", release=facts.fleet.current, by=by),
     )
 
 
 def _frees(steps: Iterable[Step], facts: Facts) -> str:
     """Docker tells no more without measuring the disk, which takes minutes on a card."""
-    size = sum(facts.stock.sizes.get(name, 0) for step in steps for name in step.argv)
+    size = sum(facts.fleet.image_store.sizes.get(name, 0) for step in steps for name in step.argv)
     return f"frees {human_bytes(size)} at most: layers that other images share stay" if size else ""
 
 
 def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:
     """The steps that remove what is old; ``shipped`` is a release that has become current since, with its ``images``."""
-    ranked = list(dict.fromkeys(filter(None, (shipped, facts.current, *_newest_first(facts)))))
+    ranked = list(dict.fromkeys(filter(None, (shipped, facts.fleet.current, *_newest_first(facts)))))
     stay = ranked[: max(keep, LEAST)]
-    gone = sorted(set(facts.releases) - set(stay))
-    pins = {**facts.stock.pins, **({shipped: tuple(images)} if shipped else {})}
+    gone = sorted(set(facts.fleet.releases) - set(stay))
+    pins = {**facts.fleet.image_store.pins, **({shipped: tuple(images)} if shipped else {})}
     old: list[str] = []
-    if all(release in pins for release in stay if release in {*facts.releases, shipped}):
+    if all(release in pins for release in stay if release in {*facts.fleet.releases, shipped}):
         needed = {name for release in stay for name in pins.get(release, ())}
-        old = sorted(name for name in facts.images if _OURS.fullmatch(name) and name not in needed)
+        old = sorted(name for name in facts.fleet.images if _OURS.fullmatch(name) and name not in needed)
     return (*_forget(gone), *_remove(old))
 
 
 def _newest_first(facts: Facts) -> tuple[str, ...]:
     """Releases that have run, the last one first; those that never did come after them, in no order."""
-    ran = [event.release for event in history.history(facts.history) if event.outcome == "done"]
-    return tuple(release for release in (*reversed(ran), *facts.releases) if release in facts.releases)
+    ran = [event.release for event in history.history(facts.fleet.history) if event.outcome == "done"]
+    return tuple(
+        release for release in (*reversed(ran), *facts.fleet.releases) if release in facts.fleet.releases
+    )
 
 
 def _forget(releases: list[str]) -> tuple[Step, ...]:

@@ -26,17 +26,19 @@ def ready(facts: Facts, *, robot: Robot) -> None:
             f"{provision}, or see `journalctl -u docker` there",
         ),
         "forbidden": (
-            f"{facts.login} may not use Docker",
+            f"{facts.login.name} may not use Docker",
             f"{provision} puts the login into the docker group",
         ),
     }
-    if problem := problems.get(facts.engine):
+    if problem := problems.get(facts.docker.state):
         raise NotReady(problem[0], cure=problem[1])
-    if not facts.compose:
+    if not facts.docker.compose:
         raise NotReady("Docker's Compose plugin is missing", cure=provision)
-    if robot.platform not in facts.platforms:
-        runs = " and ".join(facts.platforms) or facts.machine
+    if robot.platform not in facts.host.platforms:
+        runs = " and ".join(facts.host.platforms) or facts.host.machine
         raise NotReady(
             f"it runs {runs}, and the inventory says {robot.platform}",
-            cure=f"set `platform: {facts.platforms[0]}` for {robot.name}" if facts.platforms else "",
+            cure=f"set `platform: {facts.host.platforms[0]}` for {robot.name}"
+            if facts.host.platforms
+            else "",
         )

@@ -28,7 +28,9 @@ HEALTHY_WITHIN = 180
 
 def missing(release: Release, facts: Facts) -> tuple[Image, ...]:
     """The images of a release that a robot does not have."""
-    return tuple(image for image in release.images if facts.images.get(image.shipped_as) != image.identity)
+    return tuple(
+        image for image in release.images if facts.fleet.images.get(image.shipped_as) != image.identity
+    )
 
 
 def plan(
@@ -43,8 +45,8 @@ def plan(
 
     """
     ready(facts, robot=robot)
-    there = facts.current == release.id and facts.checksum == release.checksum
-    others = tuple(container.name for container in facts.containers if container.stack != release.stack)
+    there = facts.fleet.current == release.id and facts.fleet.checksum == release.checksum
+    others = tuple(container.name for container in facts.fleet.containers if container.stack != release.stack)
     if there and not delivery.steps and not others and _runs(release, facts):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     images = tuple(image.shipped_as for image in release.images)
@@ -64,7 +66,7 @@ def plan(
         afterwards=prune.after(facts, keep=keep, shipped=release.id, images=images),
         record=Record(verb="ship", release=release.id, by=by),
         forecast=delivery.forecast,
-        way=delivery.way,
+        transfer=delivery.transfer,
     )
 
 
@@ -81,11 +83,11 @@ def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
         raise NotReady(
             "there is no earlier release to go back to", cure=f"`fab history --hosts {robot.name}`"
         )
-    if target not in facts.releases:
-        cure = f"it has: {', '.join(facts.releases) or 'none'}"
+    if target not in facts.fleet.releases:
+        cure = f"it has: {', '.join(facts.fleet.releases) or 'none'}"
         raise NotReady(f"release {target} is not on this robot", cure=cure)
-    running = [container.release == target and container.healthy for container in facts.containers]
-    if target == facts.current and running and all(running):
+    running = [container.release == target and container.healthy for container in facts.fleet.containers]
+    if target == facts.fleet.current and running and all(running):
         return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(
         robot=robot.name,
@@ -98,7 +100,7 @@ def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
 
 
 def _runs(release: Release, facts: Facts) -> bool:
-    healthy = {c.service for c in facts.containers if c.release == release.id and c.healthy}
+    healthy = {c.service for c in facts.fleet.containers if c.release == release.id and c.healthy}
     return healthy >= set(release.services)
 
 
@@ -125,14 +127,18 @@ def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
 
     A release that was current already is left to Docker: it may be healthy a minute later.
     """
-    if facts.current == failed:
+    if facts.fleet.current == failed:
         return ()
-    if facts.current not in facts.releases:
+    if facts.fleet.current not in facts.fleet.releases:
         return (compose_steps.stop(robot, failed),)
-    return (compose_steps.start(robot, facts.current, wait=HEALTHY_WITHIN),)
+    return (compose_steps.start(robot, facts.fleet.current, wait=HEALTHY_WITHIN),)
 
 
 def _before(facts: Facts) -> str:
     """The release that ran before the current one, as the history tells; "" where it tells none that is still there."""
-    ran = (event.release for event in reversed(history.history(facts.history)) if event.outcome == "done")
-    return next((release for release in ran if release != facts.current and release in facts.releases), "")
+    ran = (
+        event.release for event in reversed(history.history(facts.fleet.history)) if event.outcome == "done"
+    )
+    return next(
+        (release for release in ran if release != facts.fleet.current and release in facts.fleet.releases), ""
+    )

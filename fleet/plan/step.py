@@ -110,7 +110,7 @@ class Plan:
     to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. ``afterwards`` runs
     when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot as it is, and
     ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``forecast`` is what is expected of
-    it: bytes, time, disk; ``way`` how images are sent, where any are.
+    it: bytes, time, disk. ``transfer`` is how the images are sent, if any are.
     """
 
     robot: str
@@ -121,7 +121,7 @@ class Plan:
     afterwards: tuple[Step, ...] = ()
     record: Record | None = None
     forecast: str = ""
-    way: str = ""
+    transfer: str = ""
 
     @property
     def size(self) -> int:

@@ -105,6 +105,6 @@ def repair(*, facts: Facts, bounds: Bounds) -> Step:
 
 def zstd(*, facts: Facts, bounds: Bounds) -> tuple[Step, ...]:
     """The step that installs what patches of layers are undone with, where that may be: Docker runs without it."""
-    if "zstd" in facts.packages or facts.sudo not in ("root", "free"):
+    if "zstd" in facts.packages.installed or facts.login.sudo not in ("root", "free"):
         return ()
     return (patiently("install zstd", (*INSTALL, "zstd"), facts=facts, bounds=bounds),)

@@ -34,11 +34,11 @@ def steps(robot: Robot, facts: Facts) -> tuple[Step, ...]:
         NotReady: what is there is not what Docker can read; it would not start.
 
     """
-    said = _read(facts.daemon_config)
+    said = _read(facts.docker.daemon_config)
     wanted = _with_rotation(said, size=robot.docker.log_max_size, count=robot.docker.log_max_file)
     if said == wanted:
         return ()
-    runs = facts.engine in ("ready", "forbidden")
+    runs = facts.docker.state in ("ready", "forbidden")
     when = ", from the next start of Docker on" if runs else ""
     text = json.dumps(wanted, indent=2, ensure_ascii=False) + "\n"
     return (

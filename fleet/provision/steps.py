@@ -85,7 +85,9 @@ def plan(
     zstd = apt.zstd(facts=facts, bounds=bounds)
     steps = changes or zstd
     if not steps:
-        return Plan(robot=robot.name, summary=f"Docker {facts.docker} with Compose {facts.compose}")
+        return Plan(
+            robot=robot.name, summary=f"Docker {facts.docker.version} with Compose {facts.docker.compose}"
+        )
     sudo.check(facts)
     return Plan(
         robot=robot.name,
@@ -100,37 +102,37 @@ def plan(
 
 def needs_script(facts: Facts) -> bool:
     """Whether Docker's convenience script has to run: there is no Docker, from whatever source."""
-    return facts.engine == "absent" and not _engine_package(facts)
+    return facts.docker.state == "absent" and not _engine_package(facts)
 
 
 def _engine_package(facts: Facts) -> str:
-    return next((name for name in ("docker-ce", "docker.io") if name in facts.packages), "")
+    return next((name for name in ("docker-ce", "docker.io") if name in facts.packages.installed), "")
 
 
 def _summary(robot: Robot, facts: Facts) -> str:
-    installed = facts.docker or facts.client
+    installed = facts.docker.version or facts.docker.client
     which = f"Docker {robot.docker.version or 'installed'}" if not installed else f"Docker {installed}"
-    return f"{which}, ready for {facts.login}"
+    return f"{which}, ready for {facts.login.name}"
 
 
 def _fits(robot: Robot, facts: Facts) -> None:
-    if robot.platform in facts.platforms:
+    if robot.platform in facts.host.platforms:
         return
-    if not facts.platforms:
-        raise NotReady(f"its processor is {facts.machine or 'unknown'}, for which there are no images")
-    fitting = f"set `platform: {facts.platforms[0]}` for {robot.name} in the inventory"
-    if facts.machine == "aarch64" and facts.platforms[0] == "linux/arm/v7":
+    if not facts.host.platforms:
+        raise NotReady(f"its processor is {facts.host.machine or 'unknown'}, for which there are no images")
+    fitting = f"set `platform: {facts.host.platforms[0]}` for {robot.name} in the inventory"
+    if facts.host.machine == "aarch64" and facts.host.platforms[0] == "linux/arm/v7":
         raise NotReady(
-            f"its kernel is 64-bit and its system ({facts.os}) is 32-bit, and the inventory says {robot.platform}",
+            f"its kernel is 64-bit and its system ({facts.host.os}) is 32-bit, and the inventory says {robot.platform}",
             cure=f"write the 64-bit Raspberry Pi OS to its SD card, or {fitting}",
         )
     raise NotReady(
-        f"it runs {' and '.join(facts.platforms)}, and the inventory says {robot.platform}", cure=fitting
+        f"it runs {' and '.join(facts.host.platforms)}, and the inventory says {robot.platform}", cure=fitting
     )
 
 
 def _pin(robot: Robot, facts: Facts) -> None:
-    pin, installed = robot.docker.version, facts.docker or facts.client
+    pin, installed = robot.docker.version, facts.docker.version or facts.docker.client
     if not pin or not installed or _numbers(pin) == _numbers(installed):
         return
     remove = "remove it there (its containers stop; images stay), then provision again"
@@ -152,15 +154,15 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def _room(facts: Facts) -> None:
-    if facts.disk_size and facts.disk_free < ROOM:
+    if facts.disk.size and facts.disk.free < ROOM:
         raise NotReady(
-            f"it needs {human_bytes(ROOM)} of free disk, and has {human_bytes(facts.disk_free)}",
+            f"it needs {human_bytes(ROOM)} of free disk, and has {human_bytes(facts.disk.free)}",
             cure="free some: `sudo apt-get clean` there, `sudo du -xh / | sort -h | tail` shows what is large",
         )
 
 
 def _clock(facts: Facts, *, now: float) -> tuple[Step, ...]:
-    if abs(facts.clock - now) <= CLOCK_MAY_DIFFER:
+    if abs(facts.host.clock - now) <= CLOCK_MAY_DIFFER:
         return ()
     return (
         Step(title="set the clock", argv=as_root(facts, "date", "--utc", "--set", f"@{now:.0f}"), limit=20.0),
@@ -173,7 +175,7 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
         steps = _by_script(robot, facts, script=script, bounds=bounds)
     else:
         steps = _by_packages(facts, bounds=bounds)
-    broken = facts.interrupted and (steps or facts.engine == "stopped")
+    broken = facts.packages.interrupted and (steps or facts.docker.state == "stopped")
     return (
         *((apt.reachable(),) if steps else ()),
         *((apt.repair(facts=facts, bounds=bounds),) if broken else ()),
@@ -182,7 +184,7 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
 
 
 def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
-    clashing = tuple(name for name in facts.packages if name in _CLASHING)
+    clashing = tuple(name for name in facts.packages.installed if name in _CLASHING)
     remove = apt.patiently(
         f"remove {' and '.join(clashing)}, which clash with Docker's own packages",
         (*apt.REMOVE, *clashing),
@@ -193,7 +195,7 @@ def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds)
     run = ("sh", SCRIPT, *pin)
     title = f"install Docker{' '.join(('', *pin[1:]))}, which takes minutes"
     return (
-        *((_forget(facts),) if facts.docker_source else ()),
+        *((_forget(facts),) if facts.packages.docker_source else ()),
         *((remove,) if clashing else ()),
         _send(robot, script),
         apt.patiently(title, run, facts=facts, bounds=bounds),
@@ -218,8 +220,8 @@ def _by_packages(facts: Facts, *, bounds: apt.Bounds) -> tuple[Step, ...]:
         cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then provision again",
     )
     return (
-        *((add_client,) if facts.engine == "absent" else ()),
-        *((add_compose,) if not facts.compose else ()),
+        *((add_client,) if facts.docker.state == "absent" else ()),
+        *((add_compose,) if not facts.docker.compose else ()),
     )
 
 
@@ -235,22 +237,22 @@ def _send(robot: Robot, script: bytes) -> Step:
 
 
 def _login(facts: Facts) -> tuple[Step, ...]:
-    member = "docker" in facts.groups or facts.login in (facts.docker_group or ())
-    if member or facts.sudo == "root" or facts.engine == "ready":
+    member = "docker" in facts.login.groups or facts.login.name in (facts.docker.members or ())
+    if member or facts.login.sudo == "root" or facts.docker.state == "ready":
         return ()
     return (
         Step(
-            title=f"let {facts.login} use Docker",
-            argv=as_root(facts, "sh", "-c", _GROUP, "sh", facts.login),
+            title=f"let {facts.login.name} use Docker",
+            argv=as_root(facts, "sh", "-c", _GROUP, "sh", facts.login.name),
             limit=20.0,
         ),
     )
 
 
 def _boot(facts: Facts) -> tuple[Step, ...]:
-    if facts.engine == "ready" and facts.starts_at_boot:
+    if facts.docker.state == "ready" and facts.docker.starts_at_boot:
         return ()
-    if facts.engine == "stopped":
+    if facts.docker.state == "stopped":
         # systemd refuses to start what failed several times within a minute, until told to forget it.
         argv = as_root(facts, "sh", "-c", _RESTART)
     else:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def as_root(facts: Facts, *argv: str) -> tuple[str, ...]:
     """The argv that runs ``argv`` as root: by sudo, which is told not to ask, unless the login is root."""
-    return argv if facts.sudo == "root" else ("sudo", "-n", *argv)
+    return argv if facts.login.sudo == "root" else ("sudo", "-n", *argv)
 
 
 def check(facts: Facts) -> None:
@@ -22,14 +22,14 @@ def check(facts: Facts) -> None:
         NotReady: sudo would ask for a password, or there is no sudo; with the line that cures it.
 
     """
-    if facts.sudo == "password":
+    if facts.login.sudo == "password":
         raise NotReady(
-            f"sudo asks {facts.login} for a password",
-            cure=f"run `sudo visudo -f /etc/sudoers.d/010_{facts.login}-nopasswd` there and write this line: "
-            f"{facts.login} ALL=(ALL) NOPASSWD: ALL",
+            f"sudo asks {facts.login.name} for a password",
+            cure=f"run `sudo visudo -f /etc/sudoers.d/010_{facts.login.name}-nopasswd` there and write this line: "
+            f"{facts.login.name} ALL=(ALL) NOPASSWD: ALL",
         )
-    if facts.sudo == "none":
+    if facts.login.sudo == "none":
         raise NotReady(
-            f"{facts.login} is not root, and there is no sudo",
+            f"{facts.login.name} is not root, and there is no sudo",
             cure="as root, `apt-get install sudo` there and let this login use it; or set `user: root`",
         )

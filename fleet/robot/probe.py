@@ -1,188 +1,170 @@
 """What does the robot have now? The probe that asks in one round trip, and the value its answer becomes.
 
-The probe is a POSIX shell script that looks and never touches. It answers in sections, each opened by a line
-``MARK name``; whatever a login script prints before the first one is noticed (it would corrupt streams) and left out.
+The probe is a POSIX shell script (``onboard/probe.sh``) that reads and never writes. It answers in sections, each opened by
+a line ``MARK name``. A login script may print text before the first one: it would corrupt streams, so it is kept as noise.
 """
 
 from __future__ import annotations
 
 import json
 import re
+from collections import defaultdict
+from typing import TYPE_CHECKING
 
+from fleet import onboard
 from fleet.images.identity import IDENTITY
 from fleet.robot import image_store
-from fleet.robot.facts import Container, Engine, Facts, Sudo
+from fleet.robot.facts import Container, Disk, Docker, EngineState, Facts, Fleet, Host, Login, Packages, Sudo
 from fleet.robot.paths import PART
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MARK = "=fleet="
 
-PROBE = r"""
-section() { printf '\n%s %s\n' '=fleet=' "$1"; }
-section machine; uname -m
-section userland; dpkg --print-architecture 2>/dev/null || getconf LONG_BIT 2>/dev/null
-section os; . /etc/os-release 2>/dev/null; printf '%s\n' "${PRETTY_NAME:-unknown}"
-section login; id -un; id -Gn
-section sudo; if [ "$(id -u)" = 0 ]; then echo root; elif ! command -v sudo >/dev/null; then echo none
-  elif sudo -n true 2>/dev/null; then echo free; else echo password; fi
-section clock; date +%s
-info=; ! command -v docker >/dev/null || info=$(docker info --format \
-  '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null)
-root=${info%% *}; case $info in *io.containerd.snapshotter*) root=/var/lib/containerd; esac
-section disk; df -Pk "${root:-/var/lib/docker}" 2>/dev/null || df -Pk /var/lib
-section store; printf '%s\n' "$info"
-section temperature; cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
-section emulates; grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
-section boot; systemctl is-enabled docker 2>/dev/null
-section daemon; cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
-section packages; dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
-  docker-compose docker-compose-v2 zstd 2>/dev/null | sed -n 's/^ii *//p'
-section interrupted; ls /var/lib/dpkg/updates 2>/dev/null
-  grep -E '^Status: .* (half-configured|half-installed|unpacked)$' /var/lib/dpkg/status 2>/dev/null
-section source; ls /etc/apt/sources.list.d/docker.list 2>/dev/null
-section group; getent group docker
-section current; readlink "$HOME/.fleet/current" 2>/dev/null
-section checksum; cd "$HOME/.fleet/current" 2>/dev/null && find . -type f -print | LC_ALL=C sort |
-  tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64; cd
-section releases; ls -1 "$HOME/.fleet/releases" 2>/dev/null
-section history; tail -n 200 "$HOME/.fleet/history" 2>/dev/null
-if command -v docker >/dev/null; then
-  section docker; docker version --format '{{.Server.Version}}' 2>&1
-  section client; docker --version 2>/dev/null
-  section compose; docker compose version --short 2>/dev/null
-  section containers; docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
-  section images
-  docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
-    printf 'image %s\n' "$name"; docker image inspect --format 'IDENTITY' "$name" 2>/dev/null; done
-fi
-""".replace("IDENTITY", IDENTITY)
 
-END = "section end"
-
-
-def probe(*, images: bool = False) -> str:
-    """The script that asks a robot; with ``images`` also for what it holds of them, which takes longer."""
-    return "\n".join((PROBE, *([image_store.PROBE] if images else []), END, ""))
+def command(*, images: bool = False) -> tuple[str, ...]:
+    """The argv that probes a robot; with ``images`` also its layers and transfers, which takes longer."""
+    return ("sh", "-c", onboard.text("probe.sh"), "probe", IDENTITY, *(["images"] if images else []))
 
 
 def parse(text: str) -> Facts:
-    """Read the probe's answer. Sections that are missing or empty leave their facts at the defaults."""
+    """Read the probe's answer. A missing or empty section leaves its facts at their defaults."""
     noise, *parts = text.split(f"\n{MARK} ")
-    said = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
-    login, *groups = said.get("login", "").splitlines() or [""]
-    engine, version = _engine(said.get("docker"))
-    store = _store(said.get("store", ""))
-    size, free = _disk(said.get("disk", ""))
-    temperature = _number(said.get("temperature", ""))
+    bodies = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
+    sections = defaultdict(str, bodies)
     return Facts(
-        machine=said.get("machine", ""),
-        userland=said.get("userland", ""),
-        os=said.get("os", ""),
-        login=login,
-        groups=tuple(" ".join(groups).split()),
-        sudo=_sudo(said.get("sudo", "")),
-        clock=float(_number(said.get("clock", "")) or 0),
-        disk_size=size,
-        disk_free=free,
-        temperature=None if temperature is None else temperature / 1000,
-        emulates=tuple(path.rpartition("/")[2] for path in said.get("emulates", "").split()),
-        starts_at_boot=said.get("boot", "") == "enabled",
-        daemon_config=said.get("daemon", ""),
-        docker_group=_members(said.get("group", "")),
-        packages=tuple(said.get("packages", "").split()),
-        interrupted=bool(said.get("interrupted", "")),
-        docker_source=bool(said.get("source", "")),
-        current=said.get("current", "").rpartition("/")[2],
-        checksum=said.get("checksum", ""),
-        releases=tuple(name for name in said.get("releases", "").split() if not name.endswith(PART)),
-        history=tuple(said.get("history", "").splitlines()),
-        engine=engine,
-        docker=version,
-        client=_client(said.get("client", "")),
-        data_root=store[0],
-        store=store[1],
-        containerd="io.containerd.snapshotter.v1" in store[2],
-        compose=_compose(said.get("compose", "")),
-        containers=_containers(said.get("containers", "")),
-        images=_images(said.get("images", "")),
-        stock=image_store.parse(said),
-        noise=noise.strip(),
+        host=_host(sections),
+        login=_login(sections, noise=noise.strip()),
+        disk=_disk(sections["disk"]),
+        docker=_docker(sections, there="docker" in bodies),
+        packages=Packages(
+            installed=tuple(sections["packages"].split()),
+            interrupted=bool(sections["interrupted"]),
+            docker_source=bool(sections["source"]),
+        ),
+        fleet=Fleet(
+            current=sections["current"].rpartition("/")[2],
+            checksum=sections["checksum"],
+            releases=tuple(name for name in sections["releases"].split() if not name.endswith(PART)),
+            history=tuple(sections["history"].splitlines()),
+            containers=_containers(sections["containers"]),
+            images=_images(sections["images"]),
+            image_store=image_store.parse(sections),
+        ),
     )
 
 
-def _engine(said: str | None) -> tuple[Engine, str]:
-    if said is None:  # there is no `docker` command
-        return "absent", ""
-    last = "".join(said.splitlines()[-1:])
-    if last[:1].isdigit():  # warnings come before it, also of a forbidden ~/.docker/config.json
+def _host(sections: Mapping[str, str]) -> Host:
+    temperature = _number(sections["temperature"])
+    memory = sections["memory"]
+    return Host(
+        machine=sections["machine"],
+        userland=sections["userland"],
+        os=sections["os"],
+        clock=float(_number(sections["clock"]) or 0),
+        temperature=None if temperature is None else temperature / 1000,
+        memory=int(memory) * 1024 if re.fullmatch("[0-9]{1,15}", memory) else 0,
+        emulates=tuple(path.rpartition("/")[2] for path in sections["emulates"].split()),
+    )
+
+
+def _login(sections: Mapping[str, str], *, noise: str) -> Login:
+    name, *groups = sections["login"].splitlines() or [""]
+    return Login(name=name, groups=tuple(" ".join(groups).split()), sudo=_sudo(sections["sudo"]), noise=noise)
+
+
+def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
+    """``there``: the robot has a ``docker`` command."""
+    state, version = _engine(sections["docker"]) if there else ("absent", "")
+    data_root, driver, status = _store(sections["store"])
+    return Docker(
+        state=state,
+        version=version,
+        client=_client(sections["client"]),
+        compose=_compose(sections["compose"]),
+        data_root=data_root,
+        driver=driver,
+        containerd="io.containerd.snapshotter.v1" in status,
+        members=_members(sections["group"]),
+        daemon_config=sections["daemon"],
+        starts_at_boot=sections["boot"] == "enabled",
+    )
+
+
+def _engine(answer: str) -> tuple[EngineState, str]:
+    """The engine's state and version, from the output of ``docker version``."""
+    last = "".join(answer.splitlines()[-1:])
+    if last[:1].isdigit():  # warnings come before it, such as that of a forbidden ~/.docker/config.json
         return "ready", last
-    return ("forbidden" if "permission denied" in said.lower() else "stopped"), ""
+    return ("forbidden" if "permission denied" in answer.lower() else "stopped"), ""
 
 
-def _store(said: str) -> tuple[str, str, str]:
-    """Data root, driver, and what the driver tells of itself; the usual root where Docker does not answer."""
-    root, driver, status = (*said.split(" ", 2), "", "", "")[:3]
-    return (root, driver, status) if root.startswith("/") else (Facts.data_root, "", "")
+def _store(line: str) -> tuple[str, str, str]:
+    """Data root, driver, and the driver's status; Docker's default root if it does not answer."""
+    root, driver, status = (*line.split(" ", 2), "", "", "")[:3]
+    return (root, driver, status) if root.startswith("/") else (Docker.data_root, "", "")
 
 
-def _client(said: str) -> str:
+def _client(line: str) -> str:
     """``Docker version 26.1.5+dfsg1, build a72d7cd`` -> ``26.1.5+dfsg1``."""
-    return said.removeprefix("Docker version ").partition(",")[0] if said.startswith("Docker version") else ""
+    return line.removeprefix("Docker version ").partition(",")[0] if line.startswith("Docker version") else ""
 
 
-def _compose(said: str) -> str:
-    """Its version; "" where ``docker`` without the plugin answered with its own help."""
-    version = said.removeprefix("v")
+def _compose(answer: str) -> str:
+    """The plugin's version; "" if ``docker`` printed its own help, as it does without the plugin."""
+    version = answer.removeprefix("v")
     return version if version[:1].isdigit() else ""
 
 
-def _sudo(said: str) -> Sudo:
-    match said:
+def _sudo(word: str) -> Sudo:
+    match word:
         case "root" | "free" | "password":
-            return said
+            return word
         case _:
             return "none"
 
 
-def _disk(said: str) -> tuple[int, int]:
+def _disk(table: str) -> Disk:
     """``df -Pk``: a heading, then one line of POSIX columns in KiB."""
-    columns = said.splitlines()[-1].split() if said else []
+    columns = table.splitlines()[-1].split() if table else []
     if len(columns) < 4 or not (columns[1].isdigit() and columns[3].isdigit()):
-        return 0, 0
-    return int(columns[1]) * 1024, int(columns[3]) * 1024
+        return Disk()
+    return Disk(size=int(columns[1]) * 1024, free=int(columns[3]) * 1024)
 
 
-def _number(said: str) -> int | None:
-    return int(said) if re.fullmatch("-?[0-9]+", said) else None
+def _number(text: str) -> int | None:
+    return int(text) if re.fullmatch("-?[0-9]+", text) else None
 
 
-def _members(said: str) -> tuple[str, ...] | None:
-    """A line of ``getent group``: ``docker:x:996:pi,tim``; None where there is no such group."""
-    return tuple(filter(None, said.split(":")[3].split(","))) if said.count(":") == 3 else None
+def _members(line: str) -> tuple[str, ...] | None:
+    """The members in a line of ``getent group`` (``docker:x:996:pi,tim``); None if there is no such group."""
+    return tuple(filter(None, line.split(":")[3].split(","))) if line.count(":") == 3 else None
 
 
-def _containers(said: str) -> tuple[Container, ...]:
-    """One JSON object a line; Docker's warnings are none."""
-    return tuple(filter(None, map(_container, said.splitlines())))
+def _containers(lines: str) -> tuple[Container, ...]:
+    """One container for each line of JSON; lines that are not JSON are Docker's warnings."""
+    return tuple(filter(None, map(_container, lines.splitlines())))
 
 
 def _container(line: str) -> Container | None:
     try:
-        said = json.loads(line)
+        fields = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(said, dict) or not said.keys() >= {"Labels", "Names", "State", "Status"}:
+    if not isinstance(fields, dict) or not fields.keys() >= {"Labels", "Names", "State", "Status"}:
         return None
-    labels = dict(pair.partition("=")[::2] for pair in said["Labels"].split(","))
+    labels = dict(pair.partition("=")[::2] for pair in fields["Labels"].split(","))
     return Container(
-        name=said["Names"],
+        name=fields["Names"],
         service=labels.get("com.docker.compose.service", ""),
         release=labels.get("fleet.release", ""),
         stack=labels.get("fleet.stack", ""),
-        state=said["State"],
-        status=said["Status"],
+        state=fields["State"],
+        status=fields["Status"],
     )
 
 
-def _images(said: str) -> dict[str, str]:
-    blocks = (block.partition("\n") for block in f"\n{said}".split("\nimage ")[1:])
+def _images(text: str) -> dict[str, str]:
+    blocks = (block.partition("\n") for block in f"\n{text}".split("\nimage ")[1:])
     return {name: identity.strip() for name, _, identity in blocks}

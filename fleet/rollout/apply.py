@@ -81,7 +81,7 @@ def apply(
         except RobotError as problem:
             outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
             return replace(outcome, sent=work.bytes)
-    for step in _note(plan, what_came="done"):
+    for step in _note(plan, outcome="done"):
         with contextlib.suppress(
             RobotError
         ):  # a robot whose disk is full cannot, and what it runs matters more
@@ -89,7 +89,9 @@ def apply(
     for step in plan.afterwards:
         watch.began(plan.robot, step.title, None)
         _ask(step, line)
-    return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, way=plan.way)
+    return Outcome(
+        robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, transfer=plan.transfer
+    )
 
 
 def look(line: Link, *, images: bool, watch: Progress, patience: float = RETRY_FOR) -> Facts:
@@ -243,7 +245,7 @@ def _aftermath(
             reason += f"\n(went back: {step.title})"
         except RobotError as second:
             reason += f"\nand then `{step.title}` failed: {second.what}"
-    for step in _note(plan, what_came=f"failed: {problem.what}"):
+    for step in _note(plan, outcome=f"failed: {problem.what}"):
         _ask(step, line)
     return reason, problem.cure
 
@@ -256,7 +258,7 @@ def _ask(step: Step, line: Link) -> str:
         return ""
 
 
-def _note(plan: Plan, *, what_came: str) -> tuple[Step, ...]:
+def _note(plan: Plan, *, outcome: str) -> tuple[Step, ...]:
     """Keep the history."""
     when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return (compose_steps.note(plan.record, when=when, what_came=what_came),) if plan.record else ()
+    return (compose_steps.note(plan.record, when=when, outcome=outcome),) if plan.record else ()

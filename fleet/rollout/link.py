@@ -53,7 +53,7 @@ class Link:
 
     def facts(self, *, images: bool = False) -> facts.Facts:
         """What the robot has now, in one round trip; with ``images`` also what it holds of them."""
-        answer = self.session.run(("sh", "-c", probe.probe(images=images)), limit=30)
+        answer = self.session.run(probe.command(images=images), limit=30)
         if f"{probe.MARK} end" not in answer.output:
             raise NotAsPlanned(
                 f"the robot's shell did not run the probe: {answer.errors.strip() or 'no answer'}"

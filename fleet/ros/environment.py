@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 MASTER_PORT = 11311
 OWN = "own"
 
+VARIABLES = ("ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
+"""The variables that `environment` sets."""
+
 
 def environment(robot: Robot) -> dict[str, str]:
     """Return the ROS variables of a robot's containers; one that is not set is not there (ROS chokes on empty ones).
@@ -22,13 +25,13 @@ def environment(robot: Robot) -> dict[str, str]:
     it is the robot's address, name or IP alike: ``ROS_HOSTNAME`` takes both.
     """
     own_master = f"http://localhost:{MASTER_PORT}"
-    variables = {
-        "ROS_MASTER_URI": own_master if robot.ros.master == OWN else robot.ros.master,
-        "ROS_HOSTNAME": None if robot.ros.ip else robot.ros.hostname or robot.address,
-        "ROS_IP": robot.ros.ip,
-        "ROS_NAMESPACE": robot.ros.namespace,
-    }
-    return {name: value for name, value in variables.items() if value}
+    values = (
+        own_master if robot.ros.master == OWN else robot.ros.master,
+        None if robot.ros.ip else robot.ros.hostname or robot.address,
+        robot.ros.ip,
+        robot.ros.namespace,
+    )
+    return {name: value for name, value in zip(VARIABLES, values, strict=True) if value}
 
 
 def own_names(robot: Robot) -> tuple[str, ...]:

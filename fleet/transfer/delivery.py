@@ -52,18 +52,18 @@ def lack(images: Sequence[Image], facts: Facts, *, way: Strategy) -> MissingLaye
     believed = way in ("patches", "missing layers")
     return missing_layers(
         [image.layers for image in images],
-        chains=facts.stock.chains if believed else (),
-        manifests=facts.stock.manifests if believed else (),
-        containerd=facts.containerd,
+        chains=facts.fleet.image_store.chains if believed else (),
+        manifests=facts.fleet.image_store.manifests if believed else (),
+        containerd=facts.docker.containerd,
     )
 
 
 def encoding(facts: Facts) -> Literal["zstd-long", "zstd", "gzip"]:
     """How layers are packed for a robot: Docker reads zstd from version 23 on."""
-    major = facts.docker.partition(".")[0]
+    major = facts.docker.version.partition(".")[0]
     if not (major.isdecimal() and int(major) >= 23):
         return "gzip"
-    return "zstd" if 0 < facts.stock.memory < LONG_WINDOW else "zstd-long"
+    return "zstd" if 0 < facts.host.memory < LONG_WINDOW else "zstd-long"
 
 
 def pieces(
@@ -96,15 +96,19 @@ def pieces(
             *(_prove(image) for image, _ in images),
         ),
         forecast="; ".join(
-            (f"lacks {label}, {_takes(parcel, shipment.rate)}{making}", _disk(facts.disk_free, after))
+            (f"lacks {label}, {_takes(parcel, shipment.rate)}{making}", _disk(facts.disk.free, after))
         ),
-        way=f"{label}{making}",
+        transfer=f"{label}{making}",
     )
 
 
 def may_make(facts: Facts) -> bool:
     """Whether a robot can make a layer of another one: only root may read Docker's."""
-    return facts.stock.python and facts.stock.zstd and facts.sudo in ("root", "free")
+    return (
+        facts.fleet.image_store.python
+        and facts.fleet.image_store.zstd
+        and facts.login.sudo in ("root", "free")
+    )
 
 
 def saves(packed: Blob, *, patch: int, rate: float | None) -> bool:
@@ -126,7 +130,10 @@ def _parts(
             parts.append(Upload(digest=blob.hex, size=blob.size))
         elif patch := made[blob.diff_id].patch:
             parts.append(patch)
-    return tuple(replace(part, there=min(facts.stock.spool.get(part.digest, 0), part.size)) for part in parts)
+    return tuple(
+        replace(part, there=min(facts.fleet.image_store.spool.get(part.digest, 0), part.size))
+        for part in parts
+    )
 
 
 def _makes(made: Mapping[str, RebuiltLayer]) -> str:
@@ -160,7 +167,7 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
     _refuse(2 * SLACK * size, facts)
     steps = (step for image in images for step in (_load(image), _prove(image)))
     return Delivery(
-        steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images", way="whole images"
+        steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images", transfer="whole images"
     )
 
 
@@ -173,13 +180,13 @@ def _room(sent: Sequence[Blob], parcel: UploadBatch, facts: Facts) -> float:
     packed = sum(blob.size for blob in sent)
     unpacked = SLACK * sum(blob.unpacked for blob in sent)
     _refuse(parcel.size + packed + unpacked, facts)
-    return facts.disk_free - unpacked - (packed if facts.containerd else 0)
+    return facts.disk.free - unpacked - (packed if facts.docker.containerd else 0)
 
 
 def _refuse(needed: float, facts: Facts) -> None:
-    if needed > facts.disk_free:
+    if needed > facts.disk.free:
         raise NotReady(
-            f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk_free)}",
+            f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk.free)}",
             cure="`fab prune` removes old releases; `docker system df` there shows what Docker uses",
         )
 

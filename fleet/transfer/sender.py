@@ -108,10 +108,10 @@ class Sender:
         found = rebuild_command.sources(
             [image.layers for image in images],
             packed,
-            chains=facts.stock.chains,
-            manifests=facts.stock.manifests,
-            containerd=facts.containerd,
-            root=facts.data_root,
+            chains=facts.fleet.image_store.chains,
+            manifests=facts.fleet.image_store.manifests,
+            containerd=facts.docker.containerd,
+            root=facts.docker.data_root,
         )
         made = (self._remade(packed[wanted], source, rate=rate) for wanted, source in found.items())
         return {one.diff_id: one for one in made if one}

@@ -298,7 +298,7 @@ def test_log_rotation_was_there_before_docker(ready: Target) -> None:
 def test_docker_that_is_off_is_started_and_stays_on(ready: Target) -> None:
     """At every boot too."""
     ready.root("systemctl disable --now docker.service docker.socket")
-    assert ready.facts().engine == "stopped"
+    assert ready.facts().docker.state == "stopped"
     assert mended(ready) == ["start Docker now and at every boot"]
     assert ready.root("systemctl is-active docker; systemctl is-enabled docker") == "active\nenabled"
 
@@ -306,7 +306,7 @@ def test_docker_that_is_off_is_started_and_stays_on(ready: Target) -> None:
 def test_a_login_outside_the_group_gets_in(ready: Target) -> None:
     """Group membership is read at login: the proof runs on a new one."""
     ready.root("gpasswd --delete pi docker")
-    assert ready.facts().engine == "forbidden"
+    assert ready.facts().docker.state == "forbidden"
     assert mended(ready) == ["let pi use Docker", "start Docker now and at every boot"]
 
 
@@ -314,7 +314,7 @@ def test_a_missing_compose_plugin_is_added(ready: Target) -> None:
     """From wherever this Docker came; the engine goes on running."""
     engine = ready.root("systemctl show --property MainPID docker")
     ready.root("apt-get -qq -y remove docker-compose")
-    assert ready.facts().compose == ""
+    assert ready.facts().docker.compose == ""
     assert mended(ready)[-1] == "install Docker's Compose plugin"
     assert ready.root("systemctl show --property MainPID docker") == engine
 
@@ -324,7 +324,7 @@ def test_an_installation_that_was_cut_off_is_finished(ready: Target) -> None:
     ready.root(
         "systemctl stop docker docker.socket; dpkg --unpack /var/cache/apt/archives/docker.io_*.deb 2>&1"
     )
-    assert ready.facts().interrupted
+    assert ready.facts().packages.interrupted
     assert mended(ready) == ["finish what dpkg was stopped in", "start Docker now and at every boot"]
 
 

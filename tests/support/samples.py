@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 from fleet.config.inventory import Robot
 from fleet.config.stack import Stack
 from fleet.images.image import Image
-from fleet.robot.facts import Container, Facts
+from fleet.robot.facts import Container, Disk, Docker, Facts, Host, Login
 from fleet.robot.release import Release
 from fleet.robot.release import compose as compose_release
 
@@ -34,36 +36,40 @@ def container(of: str, *, service: str = "talker", state: str = "running", statu
     )
 
 
-def facts(
-    *,
-    current: str = "",
-    releases: tuple[str, ...] = (),
-    containers: tuple[Container, ...] = (),
-    images: dict[str, str] | None = None,
-    history: tuple[str, ...] = (),
-    disk_free: int = 20_000_000_000,
-) -> Facts:
-    """A Raspberry Pi with Docker, on which nothing else was found."""
-    return Facts(
-        machine="aarch64",
-        userland="arm64",
-        os="Debian GNU/Linux 13 (trixie)",
-        login="pi",
-        groups=("pi", "sudo", "docker"),
-        sudo="free",
-        clock=1_790_000_000.0,
-        disk_size=32_000_000_000,
-        disk_free=disk_free,
-        starts_at_boot=True,
-        docker_group=("pi",),
-        current=current,
-        releases=releases,
-        history=history,
-        engine="ready",
-        docker="28.0.4",
-        client="28.0.4",
-        store="overlay2",
-        compose="2.26.1",
-        containers=containers,
-        images=images or {},
+def change(seen: Facts, **values: object) -> Facts:
+    """The same facts with other values: ``current="abc"``, ``docker_version="28.0.4"``.
+
+    A value is named by its field, or by its section and its field where the field alone says too little.
+    """
+    for section in fields(seen):
+        part = getattr(seen, section.name)
+        names = {
+            name: field.name
+            for field in fields(part)
+            for name in (field.name, f"{section.name}_{field.name}")
+        }
+        new = {names[name]: values.pop(name) for name in list(values) if name in names}
+        seen = replace(seen, **{section.name: replace(part, **new)})
+    assert not values, f"no such facts: {', '.join(values)}"
+    return seen
+
+
+def facts(**values: object) -> Facts:
+    """A Raspberry Pi with Docker, on which nothing else was found, but for what ``values`` `change`."""
+    pi = Facts(
+        host=Host(
+            machine="aarch64", userland="arm64", os="Debian GNU/Linux 13 (trixie)", clock=1_790_000_000.0
+        ),
+        login=Login(name="pi", groups=("pi", "sudo", "docker"), sudo="free"),
+        disk=Disk(size=32_000_000_000, free=20_000_000_000),
+        docker=Docker(
+            state="ready",
+            version="28.0.4",
+            client="28.0.4",
+            compose="2.26.1",
+            driver="overlay2",
+            members=("pi",),
+            starts_at_boot=True,
+        ),
     )
+    return change(pi, **values)

@@ -46,7 +46,7 @@ def away(home: Home) -> Robot:
 
 def touch(robot: Robot, facts: Facts) -> Plan:
     """Make a file in the robot's home; a robot that has none of ours is refused."""
-    if not facts.login:
+    if not facts.login.name:
         raise NotReady("nobody is there")
     feed = Bytes(label="bytes", data=b"12345")
     step = Step(title="write it", argv=("sh", "-c", "cat > made"), feed=feed)
@@ -133,7 +133,7 @@ def climbing(tries: list[str], *scripts: str) -> list[Planner]:
             tries.append(script)
             if script == "refuse":
                 raise NotReady("there is no room")
-            assert facts.login
+            assert facts.login.name
             step = Step(title="try", argv=("sh", "-c", script), harmless=True)
             return Plan(robot=robot.name, summary=f"by {script}", steps=(step,))
 
@@ -172,7 +172,7 @@ def test_each_way_is_planned_for_the_robot_as_it_is_then(home: Home, screen: Scr
     seen: list[tuple[str, ...]] = []
 
     def make(robot: Robot, facts: Facts) -> Plan:
-        seen.append(facts.releases)
+        seen.append(facts.fleet.releases)
         step = Step(title="", argv=("sh", "-c", "mkdir -p .fleet/releases/abc; exit 65"), harmless=True)
         return Plan(robot=robot.name, summary="", steps=(step,))
 
@@ -203,14 +203,14 @@ def test_a_dry_run_shows_the_first_way(home: Home, screen: Screen) -> None:
 @pytest.mark.parametrize("images", [False, True])
 def test_planners_are_told_of_images_where_they_ask(home: Home, screen: Screen, images: bool) -> None:
     """It takes longer, and most verbs do without."""
-    memory: list[int] = []
+    python: list[bool] = []
 
     def make(robot: Robot, facts: Facts) -> Plan:
-        memory.append(facts.stock.memory)
+        python.append(facts.fleet.image_store.python)
         return Plan(robot=robot.name, summary="")
 
     execute([home.robot], make, dry=False, json=False, screen=screen, images=images)
-    assert bool(memory[0]) == images
+    assert python == [images]
 
 
 def test_what_many_robots_have_now(home: Home, away: Robot) -> None:
@@ -227,7 +227,7 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
 
     def releases() -> tuple[str, ...] | None:
         now = seen.get("pi1")
-        return now.releases if isinstance(now, Facts) else None
+        return now.fleet.releases if isinstance(now, Facts) else None
 
     def person() -> None:
         def until(what: object) -> None:

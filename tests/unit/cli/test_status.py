@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,7 +8,7 @@ from fleet.cli import status
 from fleet.errors import CommandFailed, FleetError, Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.robot.history import Event
-from tests.support.samples import container, facts
+from tests.support.samples import change, container, facts
 
 if TYPE_CHECKING:
     from fleet.robot.facts import Container, Facts
@@ -24,7 +23,7 @@ def cells(seen: Facts | FleetError) -> dict[str, tuple[str, str]]:
 
 def test_a_robot_that_is_well() -> None:
     """One row tells all that one asks first."""
-    assert cells(replace(WELL, temperature=54.3)) == {
+    assert cells(change(WELL, temperature=54.3)) == {
         "robot": ("pi1", "bold"),
         "reachable": ("yes", "green"),
         "release": ("abc", ""),
@@ -44,7 +43,7 @@ def test_a_robot_that_does_not_answer() -> None:
 
 def test_a_robot_to_which_nothing_was_shipped() -> None:
     """Blank is not broken."""
-    row = cells(replace(facts(), engine="absent", docker=""))
+    row = cells(change(facts(), docker_state="absent", docker_version=""))
     assert row["release"] == ("none", "dim")
     assert row["containers"] == ("none", "dim")
     assert row["docker"] == ("absent", "red")
@@ -68,13 +67,13 @@ def test_a_robot_to_which_nothing_was_shipped() -> None:
 )
 def test_a_container_in_a_few_words(one: Container, said: str) -> None:
     """Docker's own sentence without its filling; a release that is not the current one is named."""
-    assert cells(replace(WELL, containers=(one,)))["containers"][0] == said
+    assert cells(change(WELL, containers=(one,)))["containers"][0] == said
 
 
 def test_several_containers_share_a_cell_and_its_colour() -> None:
     """One that is ill makes the cell red."""
     both = (container("abc"), container("abc", service="camera", state="exited"))
-    assert cells(replace(WELL, containers=both))["containers"] == (
+    assert cells(change(WELL, containers=both))["containers"] == (
         "talker healthy 3 minutes, camera Exited (1) 5 seconds ago",
         "red",
     )
@@ -85,10 +84,10 @@ def test_several_containers_share_a_cell_and_its_colour() -> None:
     [
         (WELL, True),
         (facts(), True),
-        (replace(WELL, containers=()), False),
-        (replace(WELL, containers=(container("old"),)), False),
-        (replace(WELL, containers=(container("abc"), container("abc", state="exited"))), False),
-        (replace(WELL, current=""), False),
+        (change(WELL, containers=()), False),
+        (change(WELL, containers=(container("old"),)), False),
+        (change(WELL, containers=(container("abc"), container("abc", state="exited"))), False),
+        (change(WELL, current=""), False),
         (GONE, False),
     ],
 )
@@ -109,7 +108,7 @@ def test_well_is_what_was_sent_running_and_nothing_else(seen: Facts | FleetError
 )
 def test_heat_has_a_colour(celsius: float | None, cell: tuple[str, str]) -> None:
     """A Pi slows down from 80 °C; one without a sensor has no cell."""
-    assert cells(replace(WELL, temperature=celsius))["temp"] == cell
+    assert cells(change(WELL, temperature=celsius))["temp"] == cell
 
 
 @pytest.mark.parametrize(
@@ -123,16 +122,16 @@ def test_heat_has_a_colour(celsius: float | None, cell: tuple[str, str]) -> None
 )
 def test_a_disk_that_fills_has_a_colour(free: int, size: int, cell: tuple[str, str]) -> None:
     """Below a tenth it is red; a robot that does not tell has no cell."""
-    assert cells(replace(WELL, disk_free=free, disk_size=size))["disk free"] == cell
+    assert cells(change(WELL, disk_free=free, disk_size=size))["disk free"] == cell
 
 
 def test_a_robots_state_for_programs() -> None:
     """All facts but the images' long identities, and whether it is well."""
-    said = status.record(WELL)
-    assert said["reachable"] is True
-    assert said["healthy"] is True
-    assert said["current"] == "abc"
-    assert "images" not in said
+    record = status.record(WELL)
+    assert record["reachable"] is True
+    assert record["healthy"] is True
+    assert record["fleet"]["current"] == "abc"
+    assert "images" not in record["fleet"]
     assert status.record(GONE) == {"reachable": False, "reason": GONE.what, "cure": GONE.cure}
 
 

@@ -13,7 +13,7 @@ from fleet.errors import NotReady
 from fleet.plan import compose_steps, containers
 from fleet.plan.ship import HEALTHY_WITHIN
 from fleet.plan.step import Plan, Record, Step
-from tests.support.samples import PI, container, facts
+from tests.support.samples import PI, change, container, facts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -97,7 +97,7 @@ def test_nothing_to_start_or_stop(verb: Verb, seen: Facts) -> None:
 def test_no_docker_is_told_before_anything_else(verb: Verb) -> None:
     """As for ship."""
     with pytest.raises(NotReady, match="Docker is not installed"):
-        planned(verb, replace(robot_with(WELL), engine="absent"))
+        planned(verb, change(robot_with(WELL), docker_state="absent"))
 
 
 def logs(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fleet.plan import prune
 from fleet.plan.step import Plan, Record
 from fleet.robot.image_store import ImageStore
-from tests.support.samples import PI, facts
+from tests.support.samples import PI, change, facts
 
 if TYPE_CHECKING:
     from fleet.robot.facts import Facts
@@ -43,7 +43,7 @@ def robot(
         images=dict.fromkeys((tag(name) for name in releases), "identity"),
     )
     known = {name: (tag(name),) for name in releases} if pins is None else pins
-    return replace(seen, stock=ImageStore(pins=known))
+    return change(seen, image_store=ImageStore(pins=known))
 
 
 def removed(
@@ -85,7 +85,7 @@ def test_the_newest_releases_stay(releases: str, ran: str, current: str, keep: i
 
 def test_a_release_that_failed_has_not_run() -> None:
     """It is older than all that did."""
-    seen = replace(robot("abcd", ran="abc"), history=(*told("a", "b", "c"), *told("d", outcome="failed: x")))
+    seen = change(robot("abcd", ran="abc"), history=(*told("a", "b", "c"), *told("d", outcome="failed: x")))
     assert removed(seen, keep=3) == ("d", "d")
 
 
@@ -111,7 +111,7 @@ def test_an_image_that_a_release_needs_stays() -> None:
 def test_an_image_that_no_release_needs_goes() -> None:
     """Its release was removed by hand, or never written."""
     seen = robot("ab")
-    assert removed(replace(seen, images={**seen.images, tag("f"): "identity"})) == ("", "f")
+    assert removed(change(seen, images={**seen.fleet.images, tag("f"): "identity"})) == ("", "f")
 
 
 @pytest.mark.parametrize("unknown", ["b", "c", "d"])
@@ -137,14 +137,14 @@ def test_where_it_is_not_known_what_a_release_runs_no_image_goes(unknown: str) -
 def test_only_names_that_fleet_made_are_removed(name: str) -> None:
     """Of other people's images nothing is known."""
     seen = robot("ab")
-    assert prune.after(replace(seen, images={**seen.images, name: "identity"}), keep=3) == ()
+    assert prune.after(change(seen, images={**seen.fleet.images, name: "identity"}), keep=3) == ()
 
 
 def test_the_commands() -> None:
     """Releases, images without force, and the receipts of these: each may fail alone, and none touches what runs."""
     seen = robot("abcd")
     image = "me:5000/my/talker:fleet-0123456789ab"
-    steps = prune.after(replace(seen, images={**seen.images, image: "identity"}), keep=2)
+    steps = prune.after(change(seen, images={**seen.fleet.images, image: "identity"}), keep=2)
     assert [step.argv for step in steps] == [
         ("rm", "-rf", ".fleet/releases/a", ".fleet/releases/b"),
         ("docker", "image", "rm", image, tag("a"), tag("b")),
@@ -197,6 +197,6 @@ def test_never_what_runs_nor_the_way_back(
 def test_what_it_frees_is_said() -> None:
     """As Docker says it, which counts layers that others share: at most."""
     seen = robot("abcd")
-    stock = replace(seen.stock, sizes={tag("a"): 241_000_000, tag("d"): 1})
-    plan = prune.plan(robot=PI, facts=replace(seen, stock=stock), keep=3, by="tim@desktop")
+    stock = replace(seen.fleet.image_store, sizes={tag("a"): 241_000_000, tag("d"): 1})
+    plan = prune.plan(robot=PI, facts=change(seen, image_store=stock), keep=3, by="tim@desktop")
     assert plan.forecast == "frees 241 MB at most: layers that other images share stay"

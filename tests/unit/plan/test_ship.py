@@ -13,7 +13,7 @@ from fleet.plan.delivery import Delivery
 from fleet.plan.step import Plan, Record, Step
 from fleet.robot.release import compose
 from fleet.transfer.delivery import stream
-from tests.support.samples import PI, STACK, TALKER, container, facts, release
+from tests.support.samples import PI, STACK, TALKER, change, container, facts, release
 
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
@@ -67,7 +67,7 @@ def running(of: str = NEW.id) -> Facts:
         images=HAS_IMAGE,
         history=told("old", of),
     )
-    return replace(seen, checksum=NEW.checksum)
+    return change(seen, checksum=NEW.checksum)
 
 
 def test_the_first_ship() -> None:
@@ -80,7 +80,7 @@ def test_the_first_ship() -> None:
         recover=(compose_steps.stop(PI, NEW.id),),
         record=Record(verb="ship", release=NEW.id, by="tim@desktop"),
         forecast="sends 241 MB, whole images",
-        way="whole images",
+        transfer="whole images",
     )
 
 
@@ -93,7 +93,7 @@ def test_a_stack_with_a_new_name_takes_the_place_of_the_old() -> None:
         up(NEW.id).argv,
     ]
     assert plan.recover == (up("old"),)
-    assert shipped(replace(running(), containers=(container(NEW.id), old))).steps
+    assert shipped(change(running(), containers=(container(NEW.id), old))).steps
 
 
 def test_an_image_that_is_there_is_not_sent_again() -> None:
@@ -116,7 +116,7 @@ def test_a_second_ship_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
+    "values",
     [
         {"containers": ()},
         {"containers": (container(NEW.id, state="exited"),)},
@@ -129,15 +129,15 @@ def test_a_second_ship_changes_nothing() -> None:
         {"checksum": "of other files"},
     ],
 )
-def test_whatever_is_not_as_it_should_be_is_shipped_again(change: dict[str, object]) -> None:
+def test_whatever_is_not_as_it_should_be_is_shipped_again(values: dict[str, object]) -> None:
     """A container that is gone or ill, an image that was pruned, a directory that somebody removed."""
-    steps = shipped(replace(running(), **change)).steps  # type: ignore[arg-type]
+    steps = shipped(change(running(), **values)).steps
     assert steps[-1:] == (up(NEW.id),)
 
 
 def test_a_release_that_was_current_already_is_not_stopped_when_it_fails_again() -> None:
     """It may be healthy a minute later; stopped, it would never be."""
-    plan = shipped(replace(running(), containers=(container(NEW.id, status="Up 1 minute (unhealthy)"),)))
+    plan = shipped(change(running(), containers=(container(NEW.id, status="Up 1 minute (unhealthy)"),)))
     assert plan.recover == ()
 
 
@@ -172,20 +172,20 @@ def test_two_images_are_both_sent_and_proved_before_anything_starts() -> None:
 
 def test_no_room_is_needed_where_nothing_is_sent() -> None:
     """A robot with a full disk can still be given another environment, or told it is unchanged."""
-    assert shipped(replace(running(), disk_free=0)).steps == ()
+    assert shipped(change(running(), disk_free=0)).steps == ()
 
 
 @pytest.mark.parametrize(
-    ("change", "what", "cure"),
+    ("values", "what", "cure"),
     [
-        ({"engine": "absent"}, "Docker is not installed", "`fab provision --hosts pi1`"),
+        ({"docker_state": "absent"}, "Docker is not installed", "`fab provision --hosts pi1`"),
         (
-            {"engine": "stopped"},
+            {"docker_state": "stopped"},
             "Docker is installed and not running",
             "`fab provision --hosts pi1`, or see `journalctl -u docker` there",
         ),
         (
-            {"engine": "forbidden"},
+            {"docker_state": "forbidden"},
             "pi may not use Docker",
             "`fab provision --hosts pi1` puts the login into the docker group",
         ),
@@ -208,10 +208,10 @@ def test_no_room_is_needed_where_nothing_is_sent() -> None:
     ],
 )
 def test_a_robot_that_cannot_take_it_is_refused_with_the_cure(
-    change: dict[str, object], what: str, cure: str
+    values: dict[str, object], what: str, cure: str
 ) -> None:
     """The same for every verb that needs containers; nothing was touched."""
-    seen = replace(running(), **change)  # type: ignore[arg-type]
+    seen = change(running(), **values)
     for attempt in (shipped, rolled):
         with pytest.raises(NotReady) as caught:
             attempt(seen)
@@ -220,7 +220,7 @@ def test_a_robot_that_cannot_take_it_is_refused_with_the_cure(
 
 def test_an_emulating_robot_takes_the_images_it_emulates() -> None:
     """A virtual Pi is a PC that runs ARM containers."""
-    assert shipped(replace(facts(), machine="x86_64", userland="amd64", emulates=("qemu-aarch64",))).steps
+    assert shipped(change(facts(), machine="x86_64", userland="amd64", emulates=("qemu-aarch64",))).steps
 
 
 def test_back_to_the_release_before() -> None:
@@ -290,7 +290,7 @@ def test_to_the_release_that_runs_is_unchanged() -> None:
 @pytest.mark.parametrize("containers", [(), (container("old"),), (container(NEW.id, state="exited"),)])
 def test_to_the_current_release_that_does_not_run_starts_it(containers: tuple[()]) -> None:
     """Current is what the link says; what runs is another question."""
-    plan = rolled(replace(running(), containers=containers), to=NEW.id)
+    plan = rolled(change(running(), containers=containers), to=NEW.id)
     assert plan.steps[-1:] == (up(NEW.id),)
 
 

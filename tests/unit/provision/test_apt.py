@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.provision import apt
-from fleet.robot.facts import Facts
+from fleet.robot.facts import Facts, Login, Packages
 
 if TYPE_CHECKING:
     from fleet.robot.facts import Sudo
 
-ROOT = Facts(sudo="root")
+ROOT = Facts(login=Login(sudo="root"))
 
 
 def run(*argv: str, patience: int = 20, limit: int = 20, pause: int = 5) -> subprocess.CompletedProcess[str]:
@@ -92,5 +92,7 @@ def test_another_failure_is_not_tried_again() -> None:
 )
 def test_zstd_is_installed_where_that_may_be(packages: tuple[str, ...], sudo: Sudo, installs: bool) -> None:
     """A robot whose login may not is not refused for it: layers then travel whole."""
-    steps = apt.zstd(facts=Facts(packages=packages, sudo=sudo), bounds=apt.Bounds())
+    steps = apt.zstd(
+        facts=Facts(packages=Packages(installed=packages), login=Login(sudo=sudo)), bounds=apt.Bounds()
+    )
     assert [step.argv[-1] for step in steps] == ["zstd"] * installs

@@ -10,7 +10,8 @@ from fleet.config.inventory import Docker, Robot
 from fleet.errors import NotReady
 from fleet.plan.step import Bytes
 from fleet.provision import daemon_json
-from fleet.robot.facts import Facts
+from fleet.robot.facts import Docker as Engine
+from fleet.robot.facts import Facts, Login
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,7 +20,7 @@ ROBOT = Robot(name="pi1", address="10.0.0.1", docker=Docker(log_max_size="5m", l
 
 
 def written(said: str) -> object:
-    (step,) = daemon_json.steps(ROBOT, Facts(daemon_config=said))
+    (step,) = daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config=said)))
     assert isinstance(step.feed, Bytes)
     return json.loads(step.feed.data)
 
@@ -42,26 +43,26 @@ def test_what_is_there_stays() -> None:
 
 def test_nothing_is_written_twice() -> None:
     """What the first run wrote, the second reads and leaves."""
-    assert daemon_json.steps(ROBOT, Facts(daemon_config=json.dumps(written("{}")))) == ()
+    assert daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config=json.dumps(written("{}"))))) == ()
 
 
 def test_another_log_driver_is_a_persons_choice() -> None:
     """Its options differ: Docker would not start with json-file's."""
-    assert daemon_json.steps(ROBOT, Facts(daemon_config='{"log-driver": "journald"}')) == ()
+    assert daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config='{"log-driver": "journald"}'))) == ()
 
 
 @pytest.mark.parametrize("said", ["{ bad", "[]", '"x"', '{"log-opts": 1}', '{"a": 1} trailing'])
 def test_what_docker_could_not_read_is_refused(said: str) -> None:
     """Docker would not start, and a person's settings must not be thrown away."""
     with pytest.raises(NotReady) as refused:
-        daemon_json.steps(ROBOT, Facts(daemon_config=said))
+        daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config=said)))
     assert "/etc/docker/daemon.json" in refused.value.what
     assert "sudo nano /etc/docker/daemon.json" in refused.value.cure
 
 
 def test_writing_keeps_the_files_mode(tmp_path: Path) -> None:
     """The step's own shell text, run: whole or not at all, and as private as before."""
-    (step,) = daemon_json.steps(ROBOT, Facts(sudo="root"))
+    (step,) = daemon_json.steps(ROBOT, Facts(login=Login(sudo="root")))
     assert isinstance(step.feed, Bytes)
     path = tmp_path / "docker" / "daemon.json"
     for mode in (None, 0o600, 0o666):

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import hashlib
 import subprocess
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,7 +11,8 @@ from fleet.errors import NotReady
 from fleet.plan.describe import lines
 from fleet.plan.step import Record
 from fleet.provision import apt, steps
-from fleet.robot.facts import Facts
+from fleet.robot.facts import Disk, Facts, Host, Login
+from tests.support.samples import change
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,25 +24,19 @@ SCRIPT = b"#!/bin/sh\necho hello\n"
 ROTATES = '{"log-driver": "json-file", "log-opts": {"max-size": "10m", "max-file": "3"}}'
 
 BLANK = Facts(
-    machine="aarch64",
-    userland="arm64",
-    os="Debian GNU/Linux 13 (trixie)",
-    login="pi",
-    groups=("pi", "sudo"),
-    sudo="free",
-    clock=NOW - 2,
-    disk_size=32_000_000_000,
-    disk_free=20_000_000_000,
+    host=Host(machine="aarch64", userland="arm64", os="Debian GNU/Linux 13 (trixie)", clock=NOW - 2),
+    login=Login(name="pi", groups=("pi", "sudo"), sudo="free"),
+    disk=Disk(size=32_000_000_000, free=20_000_000_000),
 )
-READY = replace(
+READY = change(
     BLANK,
     groups=("pi", "sudo", "docker"),
-    docker_group=("pi",),
+    members=("pi",),
     starts_at_boot=True,
     daemon_config=ROTATES,
-    packages=("docker-ce", "zstd"),
-    engine="ready",
-    docker="28.1.0",
+    installed=("docker-ce", "zstd"),
+    docker_state="ready",
+    docker_version="28.1.0",
     client="28.1.0",
     compose="2.35.1",
 )
@@ -98,21 +92,21 @@ def test_a_ready_robot_is_left_alone() -> None:
 
 def test_a_ready_robot_needs_no_rights() -> None:
     """Nothing is asked of a robot where nothing is to be done."""
-    assert planned(replace(READY, sudo="password")).steps == ()
+    assert planned(change(READY, sudo="password")).steps == ()
 
 
 @pytest.mark.parametrize(
     ("broken", "cured_by"),
     [
-        ({"engine": "stopped", "docker": ""}, ["start Docker now and at every boot"]),
+        ({"docker_state": "stopped", "docker_version": ""}, ["start Docker now and at every boot"]),
         (
-            {"engine": "stopped", "docker": "", "interrupted": True},
+            {"docker_state": "stopped", "docker_version": "", "interrupted": True},
             ["finish what dpkg was stopped in", "start Docker now and at every boot"],
         ),
         ({"interrupted": True}, []),
         ({"starts_at_boot": False}, ["start Docker now and at every boot"]),
         (
-            {"engine": "forbidden", "docker": "", "groups": ("pi",), "docker_group": ()},
+            {"docker_state": "forbidden", "docker_version": "", "groups": ("pi",), "members": ()},
             ["let pi use Docker", "start Docker now and at every boot"],
         ),
         ({"compose": ""}, ["see that it reaches its package archive", "install Docker's Compose plugin"]),
@@ -130,24 +124,24 @@ def test_a_ready_robot_needs_no_rights() -> None:
 )
 def test_only_what_is_wrong_gets_a_step(broken: dict[str, object], cured_by: list[str]) -> None:
     """Docker that is there is never installed again: the script would restart the robot's containers."""
-    assert titles(planned(replace(READY, **broken))) == cured_by  # type: ignore[arg-type]
+    assert titles(planned(change(READY, **broken))) == cured_by
 
 
 def test_the_clock_comes_first() -> None:
     """With a wrong clock apt believes nothing that it downloads."""
-    plan = planned(replace(BLANK, clock=NOW - 86400))
+    plan = planned(change(BLANK, clock=NOW - 86400))
     assert plan.steps[0].argv == ("sudo", "-n", "date", "--utc", "--set", "@1800000000")
 
 
 @pytest.mark.parametrize("off", [-59.0, 59.0])
 def test_a_minute_is_near_enough(off: float) -> None:
     """The answer of a slow robot is some seconds old."""
-    assert planned(replace(READY, clock=NOW + off)).steps == ()
+    assert planned(change(READY, clock=NOW + off)).steps == ()
 
 
 def test_root_needs_no_sudo_and_no_group() -> None:
     """A robot whose login is root may have no sudo at all."""
-    plan = planned(replace(BLANK, login="root", sudo="root"))
+    plan = planned(change(BLANK, login_name="root", sudo="root"))
     assert not any("sudo" in step.argv for step in plan.steps)
     assert "let root use Docker" not in titles(plan)
 
@@ -175,28 +169,28 @@ def test_a_pin_goes_to_the_script_and_is_proved() -> None:
 
 def test_values_are_arguments_and_never_shell_text() -> None:
     """A login's odd name reaches the robot as one word."""
-    plan = planned(replace(BLANK, login="p i;reboot"))
+    plan = planned(change(BLANK, login_name="p i;reboot"))
     assert step(plan, "let p i;reboot use").argv[-1] == "p i;reboot"
     assert not any("reboot" in step.argv[i] for step in plan.steps for i in range(len(step.argv) - 1))
 
 
 def test_what_a_failed_installation_left_is_removed_before_and_after() -> None:
     """A poisoned package source makes every later apt-get update fail."""
-    plan = planned(replace(BLANK, docker_source=True))
+    plan = planned(change(BLANK, docker_source=True))
     assert titles(plan)[2] == "forget Docker's package source"
     assert [step.title for step in plan.recover] == ["forget Docker's package source"]
 
 
 def test_packages_that_clash_go_first() -> None:
     """With Debian's docker-buildx there, Docker's own packages do not unpack."""
-    plan = planned(replace(BLANK, packages=("docker-buildx",)))
+    plan = planned(change(BLANK, installed=("docker-buildx",)))
     assert step(plan, "remove docker-buildx").argv[-4:] == ("apt-get", "remove", "--yes", "docker-buildx")
 
 
 def test_debians_engine_without_its_client_gets_the_client() -> None:
     """Debian 13 packs them apart; the script would replace the engine that runs."""
-    plan = planned(replace(BLANK, packages=("docker.io",)))
-    assert not steps.needs_script(replace(BLANK, packages=("docker.io",)))
+    plan = planned(change(BLANK, installed=("docker.io",)))
+    assert not steps.needs_script(change(BLANK, installed=("docker.io",)))
     assert step(plan, "install docker-cli").argv[-1] == "docker-cli"
 
 
@@ -241,13 +235,13 @@ def test_a_dry_run_shows_script_and_settings() -> None:
         ({"disk_free": 900_000_000}, {}, "it needs 1.0 GB of free disk, and has 900 MB", "apt-get clean"),
         ({"daemon_config": "{ bad"}, {}, "/etc/docker/daemon.json is not JSON", "sudo nano"),
         (
-            {"engine": "ready", "docker": "28.1.0"},
+            {"docker_state": "ready", "docker_version": "28.1.0"},
             {"version": "27.5.1"},
             "Docker 28.1.0 is installed, and the inventory pins 27.5.1: fleet does not downgrade",
             "change the pin",
         ),
         (
-            {"engine": "stopped", "client": "26.1.5+dfsg1"},
+            {"docker_state": "stopped", "client": "26.1.5+dfsg1"},
             {"version": "27.5.1"},
             "Docker 26.1.5+dfsg1 is installed, and the inventory pins 27.5.1: an upgrade would restart",
             "--only-upgrade",
@@ -259,12 +253,12 @@ def test_a_robot_that_cannot_be_made_ready_is_refused_with_a_cure(
 ) -> None:
     """Before anything is touched."""
     with pytest.raises(NotReady) as refused:
-        planned(replace(BLANK, **facts), of=robot(**docker))  # type: ignore[arg-type]
+        planned(change(BLANK, **facts), of=robot(**docker))
     assert what in refused.value.what
     assert cure in refused.value.cure
 
 
 def test_a_pin_that_fits_is_content() -> None:
     """Debian's 26.1.5+dfsg1 is 26.1.5."""
-    facts = replace(READY, docker="26.1.5+dfsg1")
+    facts = change(READY, docker_version="26.1.5+dfsg1")
     assert planned(facts, of=robot(version="26.1.5")).steps == ()

@@ -1,26 +1,15 @@
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import shutil
-import subprocess
-from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.images.layer import Blob
-from fleet.robot import image_store
 from fleet.robot.image_store import ImageStore, parse
-from fleet.robot.probe import MARK
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-SHELLS = [shell for shell in ("dash", "bash", "busybox") if shutil.which(shell)]
-SECTIONS = ("layers", "sizes", "receipts", "spool", "pins", "tools", "memory")
+SECTIONS = ("layers", "sizes", "receipts", "spool", "pins", "tools")
 ONE, OTHER = "1" * 64, "2" * 64
 GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
 
@@ -150,15 +139,6 @@ def test_the_tools_it_has(said: str, zstd: bool, python: bool) -> None:
     assert (seen.zstd, seen.python) == (zstd, python)
 
 
-@pytest.mark.parametrize(
-    ("said", "memory"),
-    [("948304", 971_063_296), ("-1", 0), ("948304 kB", 0), ("1\n2", 0), ("9" * 5000, 0)],
-)
-def test_its_memory(said: str, memory: int) -> None:
-    """Said in KiB, kept in bytes; 0 is unknown."""
-    assert parse({"memory": said}).memory == memory
-
-
 @given(said=st.dictionaries(st.sampled_from(SECTIONS), st.text(max_size=200)))
 def test_garbage_is_no_traceback(said: dict[str, str]) -> None:
     """Whatever a robot says in whichever section."""
@@ -204,87 +184,6 @@ def test_json_without_bottom_is_no_traceback(deep: str) -> None:
     """Python counts how deep it reads."""
     said = {"layers": f'sha256:{OTHER} {deep}\nsha256:{ONE} ["a"]', "receipts": f"{ONE} {deep}"}
     assert parse(said) == ImageStore(chains=(("a",),))
-
-
-def probed(home: Path, shell: str, *, path: Path | None = None) -> dict[str, str]:
-    """What the probe says of a home on this computer; ``path`` holds programs that come before all others."""
-    argv = (shell, "sh") if shell == "busybox" else (shell,)
-    section = f"section() {{ printf '\\n{MARK} %s\\n' \"$1\"; }}"
-    environment = {"HOME": str(home), "PATH": f"{path}:{os.environ['PATH']}" if path else os.environ["PATH"]}
-    ran = subprocess.run(
-        (*argv, "-c", f"{section}\n{image_store.PROBE}"),
-        env=environment,
-        cwd=home,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.stderr == ""
-    parts = (part.partition("\n") for part in ran.stdout.split(f"\n{MARK} ")[1:])
-    return {name: body.strip("\n") for name, _, body in parts}
-
-
-@pytest.fixture
-def home(tmp_path: Path) -> Path:
-    """A login's home, its name one that has to be quoted."""
-    path = tmp_path / "home of pi"
-    path.mkdir()
-    return path
-
-
-@pytest.fixture
-def programs(tmp_path: Path) -> Path:
-    """Programs of a robot: a Docker with one image, and the tools."""
-    path = tmp_path / "bin"
-    path.mkdir()
-    receipt = hashlib.sha256(manifest("x", "y").encode()).hexdigest()
-    docker = f"""case $2 in
-        ls) echo sha256:{receipt}; echo sha256:{receipt} ;;
-        inspect) [ "$#" = 5 ] && echo 'sha256:{receipt} ["a","b"]' ;;
-        esac"""
-    for name, script in (("docker", docker), ("zstd", ""), ("python3", "")):
-        (path / name).write_text(f"#!/bin/sh\n{script}\n")
-        (path / name).chmod(0o755)
-    return path
-
-
-@pytest.mark.parametrize("shell", SHELLS)
-def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, home: Path, programs: Path) -> None:
-    """What lies in its home comes out as a value: receipts, pieces, pins, and beside them the tools and the memory."""
-    files = {
-        "receipts/0123456789ab": manifest("x", "y"),
-        "receipts/ba9876543210": manifest("z"),
-        f"spool/{ONE}": "12345",
-        "spool/lock": "",
-        "spool/holder": "1 token receive tim@desktop",
-        "releases/abc/compose.override.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-1",\n}}}\n',
-        "releases/abc/compose.yaml": "services:\n  a:\n    image: talker\n",
-    }
-    for name, text in files.items():
-        (home / ".fleet" / name).parent.mkdir(parents=True, exist_ok=True)
-        (home / ".fleet" / name).write_text(text)
-    said = probed(home, shell, path=programs)
-    seen = parse(said)
-    assert tuple(said) == SECTIONS
-    assert seen == ImageStore(
-        chains=(("a", "b"),),
-        manifests=((blob("a", "x"), blob("b", "y")),),
-        spool={ONE: 5},
-        pins={"abc": ("talker:fleet-1",)},
-        zstd=True,
-        python=True,
-        memory=seen.memory,
-    )
-    assert seen.memory == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-@pytest.mark.parametrize("shell", SHELLS)
-def test_the_probe_of_a_robot_that_was_never_shipped_to(shell: str, home: Path) -> None:
-    """There is nothing, nothing is made, and nothing is complained about; Docker itself is the desktop's."""
-    seen = parse(probed(home, shell))
-    assert (seen.manifests, seen.spool, seen.pins) == ((), {}, {})
-    assert seen.memory > 0
-    assert list(home.iterdir()) == []
 
 
 @pytest.mark.parametrize(

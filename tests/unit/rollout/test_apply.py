@@ -381,7 +381,7 @@ def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
     """Its link was lost while it was asked: it is asked again, which is told."""
     line, told = Link(home.robot), Told()
     line.session.close()
-    assert look(line, images=False, watch=told).releases == ()
+    assert look(line, images=False, watch=told).fleet.releases == ()
     line.close()
     assert told.said == [
         ("pi1", "the connection was lost before the command started; trying again for 3 min")

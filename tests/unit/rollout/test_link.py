@@ -52,7 +52,7 @@ def test_the_facts_of_a_robot(sshds: Sshds) -> None:
     line = Link(home.robot)
     seen = line.facts()
     line.close()
-    assert (seen.releases, seen.noise, seen.login) == (("abc",), "Welcome", home.robot.user)
+    assert (seen.fleet.releases, seen.login.noise, seen.login.name) == (("abc",), "Welcome", home.robot.user)
 
 
 def test_a_login_that_runs_no_commands_is_told_so(sshds: Sshds) -> None:

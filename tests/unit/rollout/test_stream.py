@@ -120,9 +120,9 @@ def test_logs_are_read_to_their_end(home: Home) -> None:
     """What to run comes from the robot's facts; a robot that has none is refused alone."""
 
     def argv(robot: Robot, facts: Facts) -> tuple[str, ...]:
-        if not facts.releases:
+        if not facts.fleet.releases:
             raise NotReady("nothing has been shipped to it")
-        return ("printf", "%s\n", robot.name, *facts.releases)
+        return ("printf", "%s\n", robot.name, *facts.fleet.releases)
 
     printed = Printed()
     (refused,) = stream.logs([home.robot], argv, follow=False, printer=printed, watch=Told())

@@ -16,7 +16,7 @@ from fleet.transfer.delivery import STRATEGIES
 from fleet.transfer.missing import MissingLayers
 from fleet.transfer.receive import TransferRun
 from tests.support.handmade import Handmade, layer, packed
-from tests.support.samples import facts
+from tests.support.samples import change, facts
 
 if TYPE_CHECKING:
     from fleet.robot.facts import Facts, Sudo
@@ -42,9 +42,16 @@ def robot(
     containerd: bool = False,
     docker: str = "28.0.4",
     disk_free: int = 20_000_000_000,
+    memory: int = 0,
     stock: ImageStore = ImageStore(),  # noqa: B008  frozen
 ) -> Facts:
-    return replace(facts(disk_free=disk_free), containerd=containerd, docker=docker, stock=stock)
+    return facts(
+        disk_free=disk_free,
+        memory=memory,
+        containerd=containerd,
+        docker_version=docker,
+        image_store=stock,
+    )
 
 
 def delivered(
@@ -95,7 +102,7 @@ def parcel(made: Delivery) -> UploadBatch:
 )
 def test_how_layers_are_packed_for_a_robot(docker: str, memory: int, encoding: str) -> None:
     """What its engine reads, and what its memory holds while it unpacks; an unknown engine gets what all can read."""
-    assert delivery.encoding(robot(docker=docker, stock=ImageStore(memory=memory))) == encoding
+    assert delivery.encoding(robot(docker=docker, memory=memory)) == encoding
 
 
 @pytest.mark.parametrize("containerd", [False, True])
@@ -232,7 +239,9 @@ def test_whole_images_as_a_stream() -> None:
         harmless=True,
         resumes=True,
     )
-    assert made == Delivery(steps=(load, PROVE), forecast="sends 102 kB, whole images", way="whole images")
+    assert made == Delivery(
+        steps=(load, PROVE), forecast="sends 102 kB, whole images", transfer="whole images"
+    )
 
 
 def test_room_for_whole_images() -> None:
@@ -275,7 +284,7 @@ def test_a_layer_under_two_diff_ids_is_one_piece() -> None:
 )
 def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sudo, may: bool) -> None:
     """It takes both programs, and root without being asked."""
-    assert delivery.may_make(replace(robot(stock=ImageStore(zstd=zstd, python=python)), sudo=sudo)) == may
+    assert delivery.may_make(change(robot(stock=ImageStore(zstd=zstd, python=python)), sudo=sudo)) == may
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,7 +16,7 @@ from fleet.transfer.rate_limit import RateLimiter
 from fleet.transfer.sender import Sender
 from fleet.transfer.upload_server import UploadServer
 from tests.support.handmade import Engine, Handmade, digest, layer, packed
-from tests.support.samples import PI, facts
+from tests.support.samples import PI, change, facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -70,7 +69,7 @@ def desk(tmp_path: Path) -> Desk:
 def robot(*chains: Sequence[bytes]) -> Facts:
     """A robot that holds images of these layers, and whose engine reads gzip only."""
     stock = ImageStore(chains=tuple(tuple(map(digest, chain)) for chain in chains))
-    return replace(facts(), docker="20.10.24", stock=stock)
+    return change(facts(), docker_version="20.10.24", image_store=stock)
 
 
 def sent(made: Delivery) -> list[str]:

@@ -1,0 +1,114 @@
+#!/bin/sh
+# Print what this robot has, in sections; read only, change nothing.
+# Usage: probe.sh IDENTITY_TEMPLATE [images]
+# `images` adds the sections about layers and transfers, which take longer. fleet/robot/probe.py reads the answer.
+section() { printf '\n%s %s\n' '=fleet=' "$1"; }
+
+section machine
+uname -m
+section userland
+dpkg --print-architecture 2>/dev/null || getconf LONG_BIT 2>/dev/null
+section os
+# shellcheck source=/dev/null
+[ ! -r /etc/os-release ] || . /etc/os-release 2>/dev/null
+printf '%s\n' "${PRETTY_NAME:-unknown}"
+section login
+id -un
+id -Gn
+section sudo
+if [ "$(id -u)" = 0 ]; then
+    echo root
+elif ! command -v sudo >/dev/null; then
+    echo none
+elif sudo -n true 2>/dev/null; then
+    echo free
+else
+    echo password
+fi
+section clock
+date +%s
+section memory
+sed -n 's/^MemTotal: *\([0-9]*\) kB$/\1/p' /proc/meminfo
+
+info=
+if command -v docker >/dev/null; then
+    info=$(docker info --format '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null)
+fi
+root=${info%% *}
+case $info in *io.containerd.snapshotter*) root=/var/lib/containerd ;; esac
+section disk
+df -Pk "${root:-/var/lib/docker}" 2>/dev/null || df -Pk /var/lib
+section store
+printf '%s\n' "$info"
+section temperature
+cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
+section emulates
+grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
+section boot
+systemctl is-enabled docker 2>/dev/null
+section daemon
+cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
+section packages
+# shellcheck disable=SC2016  # the braces are dpkg-query's
+dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
+    docker-compose docker-compose-v2 zstd 2>/dev/null | sed -n 's/^ii *//p'
+section interrupted
+ls /var/lib/dpkg/updates 2>/dev/null
+grep -E '^Status: .* (half-configured|half-installed|unpacked)$' /var/lib/dpkg/status 2>/dev/null
+section source
+ls /etc/apt/sources.list.d/docker.list 2>/dev/null
+section group
+getent group docker
+
+section current
+readlink "$HOME/.fleet/current" 2>/dev/null
+section checksum
+(
+    cd "$HOME/.fleet/current" 2>/dev/null || exit
+    find . -type f -print | LC_ALL=C sort | tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64
+)
+section releases
+ls -1 "$HOME/.fleet/releases" 2>/dev/null
+section history
+tail -n 200 "$HOME/.fleet/history" 2>/dev/null
+
+if command -v docker >/dev/null; then
+    section docker
+    docker version --format '{{.Server.Version}}' 2>&1
+    section client
+    docker --version 2>/dev/null
+    section compose
+    docker compose version --short 2>/dev/null
+    section containers
+    docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
+    section images
+    docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
+        printf 'image %s\n' "$name"
+        docker image inspect --format "$1" "$name" 2>/dev/null
+    done
+fi
+
+if [ "$2" = images ]; then
+    if command -v docker >/dev/null; then
+        section layers
+        docker image ls -aq --no-trunc 2>/dev/null | sort -u |
+            xargs -r docker image inspect --format '{{.Id}} {{json .RootFS.Layers}}' 2>/dev/null
+    fi
+    section sizes
+    docker image ls --format '{{.Repository}}:{{.Tag}} {{.Size}}' 2>/dev/null | grep ':fleet-'
+    section receipts
+    for file in "$HOME"/.fleet/receipts/*; do
+        [ -f "$file" ] && printf '%s ' "$(sha256sum <"$file" | cut -c1-64)" && tr -d '\n' <"$file" && echo
+    done
+    section spool
+    (
+        cd "$HOME/.fleet/spool" 2>/dev/null || exit
+        stat -c '%n %s' ./* 2>/dev/null | sed 's,^\./,,'
+    )
+    section pins
+    grep -H '"image":' "$HOME"/.fleet/releases/*/compose.override.yaml 2>/dev/null
+    section tools
+    command -v zstd
+    python3 -c "import argparse, json, zlib" 2>/dev/null && echo python3
+fi
+section end

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from fleet.cli import json_output, status
+from fleet.errors import Unreachable
+from fleet.plan.outcome import Outcome
+from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from tests.support.samples import PI, container, facts
+
+PAGE = (Path(__file__).parents[3] / "docs/reference/json.md").read_text(encoding="utf-8")
+
+CONTAINER = {"name", "service", "release", "stack", "state", "status"}
+STATUS = {
+    *("reachable", "healthy"),
+    *(f"host.{key}" for key in ("machine", "userland", "os", "clock", "temperature", "memory", "emulates")),
+    *(f"login.{key}" for key in ("name", "groups", "sudo", "noise")),
+    *("disk.size", "disk.free"),
+    *(f"docker.{key}" for key in ("state", "version", "client", "compose", "data_root", "driver")),
+    *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot")),
+    *("packages.installed", "packages.interrupted", "packages.docker_source"),
+    *(f"fleet.{key}" for key in ("current", "checksum", "releases", "history", "containers")),
+    *(f"fleet.containers[].{key}" for key in CONTAINER),
+}
+UNREACHABLE = {"reachable", "reason", "cure"}
+INVENTORY = {
+    *("name", "address", "user", "port", "identity_file", "platform"),
+    *(f"ros.{key}" for key in ("master", "hostname", "ip", "namespace")),
+    *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
+    *("environment", "files", "known_hosts"),
+}
+OUTCOME = {
+    *("robot", "status", "summary", "step", "reason", "cure"),
+    *("seconds", "sent", "transfer", "unusable"),
+}
+STEP = {
+    *("title", "argv", "feed", "feed.label", "feed.data", "expect", "cure", "limit"),
+    *("fresh_login", "until_closed", "harmless", "resumes"),
+}
+PLANS = {
+    *("plans", "problems"),
+    *(f"plans[].{key}" for key in ("robot", "summary", "steps", "explain", "recover", "afterwards")),
+    *(f"plans[].steps[].{key}" for key in STEP),
+    *(f"plans[].{key}" for key in ("record", "record.verb", "record.release", "record.by")),
+    *("plans[].forecast", "plans[].transfer"),
+}
+IMAGE_FEED = {"image", "reference", "size"}
+UPLOADS = {"label", "to", "pieces", *(f"pieces[].{key}" for key in ("digest", "size", "there", "data"))}
+
+FED = Step(title="write", argv=("tar",), feed=Bytes(label="2 files", data=b"12"))
+PLAN = Plan(
+    robot="pi1", summary="", steps=(FED,), record=Record(verb="ship", release="abc", by="tim@desktop")
+)
+PRINTED = {
+    "`fab status --json`": (
+        STATUS,
+        status.record(facts(current="abc", releases=("abc",), containers=(container("abc"),))),
+    ),
+    "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
+    "`fab inventory --json`": (INVENTORY, PI.model_dump(mode="json")),
+    "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
+    "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
+    "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),
+    "A feed that is a batch of uploads": (
+        UPLOADS,
+        UploadBatch(label="a", to="b", pieces=(Upload(digest="c", size=1),)),
+    ),
+}
+"""Each heading of the page: its keys, and a value as the verb prints it."""
+
+
+def keys(value: object, path: str = "") -> set[str]:
+    """The dotted keys of a JSON value, each list's elements under `[]`."""
+    if isinstance(value, list):
+        return set().union(*(keys(item, f"{path}[]") for item in value))
+    if not isinstance(value, dict):
+        return set()
+    prefix = f"{path}." if path else ""
+    return {f"{prefix}{key}" for key in value} | set().union(
+        *(keys(item, f"{prefix}{key}") for key, item in value.items())
+    )
+
+
+SECTIONS = {"host", "login", "disk", "docker", "packages", "fleet", "ros"}
+"""Objects that the page shows by what is in them."""
+
+
+def documented(heading: str) -> set[str]:
+    """The keys in the table under a heading of the page."""
+    text = re.split(r"^#+ ", PAGE.partition(f" {heading}\n")[2], maxsplit=1, flags=re.MULTILINE)[0]
+    return set(re.findall(r"^\| `([^`]+)` \|", text, flags=re.MULTILINE))
+
+
+@pytest.mark.parametrize("heading", PRINTED)
+def test_programs_can_rely_on_the_keys(heading: str) -> None:
+    """A key that is renamed or gone breaks somebody's program: change this set in a major version only."""
+    promised, value = PRINTED[heading]
+    assert keys(json.loads(json_output.text(value))) - SECTIONS == promised
+
+
+@pytest.mark.parametrize("heading", PRINTED)
+def test_the_page_names_each_key(heading: str) -> None:
+    """It is what authors of programs read."""
+    assert documented(heading) == PRINTED[heading][0]
+
+
+def test_every_table_of_the_page_is_compared() -> None:
+    """A section that no test knows would go stale."""
+    headings = re.findall(r"^#+ (.*)$", PAGE, flags=re.MULTILINE)
+    assert [heading for heading in headings if documented(heading)] == list(PRINTED)

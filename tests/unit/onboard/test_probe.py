@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import getpass
+import hashlib
+import json
+import os
+import resource
+import shutil
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.images.identity import IDENTITY
+from fleet.images.layer import Blob
+from fleet.robot.image_store import ImageStore
+from fleet.robot.probe import MARK, command, parse
+from tests.support.robot_shell import SHELLS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DIGEST = "1" * 64
+GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
+MANIFEST = json.dumps({"layers": [{"mediaType": GZIP, "digest": digest, "size": 7} for digest in ("x", "y")]})
+
+
+def ran(home: Path, shell: str = "sh", path: str = "") -> subprocess.CompletedProcess[str]:
+    """The probe, run on this computer as SSH would run it on a robot."""
+    _, *arguments = command(images=True)
+    environment = {"HOME": str(home), "PATH": path or os.environ["PATH"]}
+    return subprocess.run(
+        (*((shell, "sh") if shell == "busybox" else (shell,)), *arguments),
+        env=environment,
+        cwd=home,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+
+def probed(home: Path, shell: str = "sh", path: str = "") -> str:
+    """What the probe says on this computer."""
+    return ran(home, shell, path).stdout
+
+
+@pytest.fixture
+def bare_path(tmp_path: Path) -> Path:
+    """A PATH with the programs of a small system, and neither docker nor sudo; tests add their own."""
+    path = tmp_path / "bin"
+    path.mkdir()
+    for name in (
+        "uname",
+        "id",
+        "date",
+        "df",
+        "cat",
+        "ls",
+        "tail",
+        "sed",
+        "grep",
+        "readlink",
+        "getent",
+        "dpkg",
+    ):
+        if found := shutil.which(name):
+            (path / name).symlink_to(found)
+    return path
+
+
+def program(folder: Path, name: str, script: str) -> None:
+    """A program that says what a robot's would."""
+    (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+    (folder / name).chmod(0o755)
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_probe_runs_in_the_shells_of_robots(shell: str, tmp_path: Path) -> None:
+    """What it says of this computer is what Python says of it."""
+    seen = parse(probed(tmp_path, shell))
+    usage = shutil.disk_usage("/var/lib")
+    assert seen.host.machine == os.uname().machine
+    assert seen.login.name == getpass.getuser()
+    assert seen.login.sudo == "root" if os.geteuid() == 0 else seen.login.sudo in ("free", "password", "none")
+    assert seen.login.groups
+    assert seen.host.memory == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert abs(seen.host.clock - time.time()) < 60
+    assert seen.disk.size == pytest.approx(usage.total, rel=0.1)
+    assert seen.host.platforms[0] in ("linux/amd64", "linux/arm64", "linux/arm/v7")
+    assert seen.fleet.current == ""
+    assert seen.fleet.releases == ()
+    assert seen.login.noise == ""
+
+
+def test_the_probe_sees_what_fleet_keeps_there(tmp_path: Path) -> None:
+    """The current release, those that are there (not one that is half written), and the history's lines."""
+    for name in ("aaa", "bbb", "ccc.part"):
+        (tmp_path / ".fleet/releases" / name).mkdir(parents=True)
+    (tmp_path / ".fleet/current").symlink_to("releases/bbb")
+    (tmp_path / ".fleet/history").write_text("".join(f"line {number}\n" for number in range(300)))
+    seen = parse(probed(tmp_path))
+    assert (seen.fleet.current, seen.fleet.releases) == ("bbb", ("aaa", "bbb"))
+    assert len(seen.fleet.history) == 200
+    assert seen.fleet.history[-1] == "line 299"
+
+
+def test_the_probe_looks_and_never_touches(tmp_path: Path) -> None:
+    """Not a file, not a time stamp changes in the login's home."""
+    (tmp_path / ".fleet/releases/aaa").mkdir(parents=True)
+    (tmp_path / ".fleet/history").write_text("one\n")
+
+    def state() -> dict[str, tuple[int, int]]:
+        return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in (tmp_path, *tmp_path.rglob("*"))}
+
+    before = state()
+    probed(tmp_path)
+    assert state() == before
+
+
+def test_the_probe_is_quick(tmp_path: Path) -> None:
+    """`fab status` is one probe: it costs less than a second of a processor, also here beside other work."""
+
+    def spent() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
+
+    costs = []
+    for _ in range(3):
+        before = spent()
+        probed(tmp_path)
+        costs.append(spent() - before)
+    assert min(costs) < 1.0
+
+
+def test_a_robot_without_docker_and_sudo(tmp_path: Path, bare_path: Path) -> None:
+    """Programs that are not there leave their facts empty; the answer still has its end."""
+    said = probed(tmp_path, "/bin/sh", path=str(bare_path))
+    seen = parse(said)
+    assert f"{MARK} end" in said
+    assert (seen.docker.state, seen.docker.version, seen.docker.client, seen.docker.compose) == (
+        "absent",
+        "",
+        "",
+        "",
+    )
+    assert seen.login.sudo in ("root", "none")
+
+
+@pytest.mark.parametrize(
+    ("script", "engine", "version"),
+    [
+        ("echo 28.0.4", "ready", "28.0.4"),
+        ("echo 20.10.24+dfsg1", "ready", "20.10.24+dfsg1"),
+        (
+            "echo 'WARNING: open /home/pi/.docker/config.json: permission denied' >&2; echo 28.0.4",
+            "ready",
+            "28.0.4",
+        ),
+        (
+            "echo 'permission denied while trying to connect to the Docker daemon socket' >&2; exit 1",
+            "forbidden",
+            "",
+        ),
+        (
+            "echo 'Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is it running?' >&2; exit 1",
+            "stopped",
+            "",
+        ),
+        ("exit 1", "stopped", ""),
+    ],
+)
+def test_an_engine_is_known_by_what_its_client_says(
+    tmp_path: Path, bare_path: Path, script: str, engine: str, version: str
+) -> None:
+    """The client writes its reasons to standard error, and warnings before its answer."""
+    program(bare_path, "docker", f'[ "$1" = version ] || exit 1\n{script}')
+    seen = parse(probed(tmp_path, "/bin/sh", path=str(bare_path)))
+    assert (seen.docker.state, seen.docker.version) == (engine, version)
+
+
+@pytest.fixture
+def quoted_home(tmp_path: Path) -> Path:
+    """A login's home, its name one that has to be quoted."""
+    path = tmp_path / "home of pi"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Path:
+    """Programs of a robot: a Docker with one image, and the tools."""
+    path = tmp_path / "bin"
+    path.mkdir()
+    image = f"sha256:{hashlib.sha256(MANIFEST.encode()).hexdigest()}"
+    docker = f"""case "$*" in
+        'image ls -aq'*) echo {image}; echo {image} ;;
+        'image ls'*Size*) echo 'talker:fleet-1 241MB' ;;
+        'image ls'*) echo talker:fleet-1 ;;
+        *json*' {image}') echo '{image} ["a","b"]' ;;
+        'image inspect'*' talker:fleet-1') echo "asked for $4" ;;
+        esac"""
+    for name, script in (("docker", docker), ("zstd", ""), ("python3", "")):
+        (path / name).write_text(f"#!/bin/sh\n{script}\n")
+        (path / name).chmod(0o755)
+    return path
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path, programs: Path) -> None:
+    """What lies in its home comes out as a value: receipts, pieces, pins, and beside them images and tools."""
+    files = {
+        "receipts/0123456789ab": MANIFEST,
+        "receipts/ba9876543210": "{}",
+        f"spool/{DIGEST}": "12345",
+        "spool/lock": "",
+        "spool/holder": "1 token receive tim@desktop",
+        "releases/abc/compose.override.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-1",\n}}}\n',
+        "releases/abc/compose.yaml": "services:\n  a:\n    image: talker\n",
+    }
+    for name, text in files.items():
+        (quoted_home / ".fleet" / name).parent.mkdir(parents=True, exist_ok=True)
+        (quoted_home / ".fleet" / name).write_text(text)
+    done = ran(quoted_home, shell, path=f"{programs}:{os.environ['PATH']}")
+    assert done.stderr == ""
+    seen = parse(done.stdout)
+    blobs = (Blob(diff_id=d, digest=b, size=7, media_type=GZIP) for d, b in (("a", "x"), ("b", "y")))
+    assert seen.fleet.image_store == ImageStore(
+        chains=(("a", "b"),),
+        manifests=(tuple(blobs),),
+        spool={DIGEST: 5},
+        pins={"abc": ("talker:fleet-1",)},
+        sizes={"talker:fleet-1": 241_000_000},
+        zstd=True,
+        python=True,
+    )
+    assert seen.fleet.images == {"talker:fleet-1": f"asked for {IDENTITY}"}
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_probe_of_a_robot_that_was_never_shipped_to(shell: str, quoted_home: Path) -> None:
+    """There is nothing, nothing is made, and nothing is complained about; Docker itself is the desktop's."""
+    done = ran(quoted_home, shell)
+    assert done.stderr == ""
+    images = parse(done.stdout).fleet.image_store
+    assert (images.manifests, images.spool, images.pins) == ((), {}, {})
+    assert list(quoted_home.iterdir()) == []
+
+
+def test_the_sections_about_images_come_only_when_asked_for(tmp_path: Path) -> None:
+    """They take longer, and most verbs do without."""
+    environment = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
+    short = subprocess.run(command(), env=environment, capture_output=True, text=True, check=True).stdout
+    assert f"{MARK} tools" in probed(tmp_path)
+    assert f"{MARK} tools" not in short
+    assert short.endswith(f"{MARK} end\n")
