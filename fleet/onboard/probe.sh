@@ -4,6 +4,8 @@
 # `images` adds the sections about layers and transfers, which take longer. fleet/robot/probe.py reads the answer.
 section() { printf '\n%s %s\n' '=fleet=' "$1"; }
 
+section identity
+cat /etc/machine-id /proc/sys/kernel/random/boot_id 2>/dev/null
 section machine
 uname -m
 section userland
@@ -14,6 +16,7 @@ section os
 printf '%s\n' "${PRETTY_NAME:-unknown}"
 section login
 id -un
+printf '%s\n' "$HOME"
 id -Gn
 section sudo
 if [ "$(id -u)" = 0 ]; then
@@ -38,6 +41,8 @@ root=${info%% *}
 case $info in *io.containerd.snapshotter*) root=/var/lib/containerd ;; esac
 section disk
 df -Pk "${root:-/var/lib/docker}" 2>/dev/null || df -Pk /var/lib
+section 'home disk'
+df -Pk "$HOME/.fleet" 2>/dev/null || df -Pk "$HOME"
 section store
 printf '%s\n' "$info"
 section temperature
@@ -60,17 +65,28 @@ ls /etc/apt/sources.list.d/docker.list 2>/dev/null
 section group
 getent group docker
 
-section current
-readlink "$HOME/.fleet/current" 2>/dev/null
-section checksum
-(
-    cd "$HOME/.fleet/current" 2>/dev/null || exit
-    find . -type f -print | LC_ALL=C sort | tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64
-)
-section releases
-ls -1 "$HOME/.fleet/releases" 2>/dev/null
-section history
-tail -n 200 "$HOME/.fleet/history" 2>/dev/null
+section stacks
+for here in "$HOME"/.fleet/stacks/*/; do
+    [ -d "$here" ] || continue
+    here=${here%/}
+    printf 'stack %s\ncurrent %s\n' "${here##*/}" "$(readlink "$here/current" 2>/dev/null)"
+    (
+        cd "$here/current" 2>/dev/null || exit
+        printf 'checksum '
+        find . -type f -print | LC_ALL=C sort | tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64
+        sed 's/^/service /' services 2>/dev/null
+    )
+    for release in "$here"/releases/*/; do
+        [ ! -d "$release" ] || { release=${release%/} && printf 'release %s\n' "${release##*/}"; }
+    done
+    printf 'data '
+    timeout 2 du -sk "$here/data" 2>/dev/null | cut -f1 | grep . || if [ -d "$here/data" ]; then echo unknown; else echo 0; fi
+    [ ! -s "$here/journal" ] || printf 'journal %s\n' "$(head -n 1 "$here/journal" | cut -c1-200)"
+    tail -n 200 "$here/history" 2>/dev/null | tr -d '\000' | cut -c1-1000 | sed 's/^/event /'
+done
+section legacy
+[ ! -e "$HOME/.fleet/current/compose.override.yaml" ] ||
+    sed -n 's/^  "name": "\(.*\)",$/\1/p' "$HOME/.fleet/current/compose.override.yaml" | head -n 1
 
 if command -v docker >/dev/null; then
     section docker
@@ -80,7 +96,8 @@ if command -v docker >/dev/null; then
     section compose
     docker compose version --short 2>/dev/null
     section containers
-    docker ps -a --no-trunc --filter label=fleet.release --format '{{json .}}' 2>/dev/null
+    docker ps -aq --no-trunc --filter label=fleet.release 2>/dev/null | xargs -r docker inspect --format \
+        '{"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
     section images
     docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
         printf 'image %s\n' "$name"
@@ -106,7 +123,9 @@ if [ "$2" = images ]; then
         stat -c '%n %s' ./* 2>/dev/null | sed 's,^\./,,'
     )
     section pins
-    grep -H '"image":' "$HOME"/.fleet/releases/*/compose.override.yaml 2>/dev/null
+    grep -H '"image":' "$HOME"/.fleet/stacks/*/releases/*/compose.yaml \
+        "$HOME"/.fleet/stacks/*/releases/*/compose.override.yaml \
+        "$HOME"/.fleet/releases/*/compose.override.yaml 2>/dev/null
     section tools
     command -v zstd
     python3 -c "import argparse, json, zlib" 2>/dev/null && echo python3

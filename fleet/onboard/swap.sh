@@ -1,22 +1,23 @@
 #!/bin/sh
 # bring the containers of a stack to a release, watch them, and go back if they do not run
 #
-# usage: swap.sh VERB STACK RELEASE BY WAIT SETTLE CONFLICT [SERVICE=POLICY ...]
+# usage: swap.sh VERB STACK RELEASE BY WAIT SETTLE CONFLICT
 #
 # VERB is ship, rollback, start, restart or stop. BY is who asked for it (tim@desktop). WAIT is how many seconds the
 # containers may take to become healthy, SETTLE how many a container without a health check must run without a restart.
-# CONFLICT is robot or desktop: whose version of a file wins that both have changed. The services are those that must
-# run, each with the restart policy of the file: no, on-failure or always.
+# CONFLICT is robot or desktop: whose version of a file wins that both have changed.
+#
+# A release's file `services` names those that must run, each with its restart policy: no, on-failure or always.
 #
 # One process at a time holds the lock, and the journal says what it is about to do. The result is written by this
 # process, in the same breath as `current`, so that nobody has to be connected to hear it.
 set -u
 verb=$1 stack=$2 release=$3 by=$4 wait=$5 settle=$6 conflict=$7
-shift 7
 fleet=$HOME/.fleet
 here=$fleet/stacks/$stack
 busy=75
 turn=${FLEET_TURN:-240} # seconds to wait for another command on this robot
+limit=$((wait + 120))   # seconds for one call of Compose: it waits for `depends_on` as long as that takes
 
 say() { printf '%s\n' "$*"; }
 fail() {
@@ -56,9 +57,9 @@ compose() { # RELEASE ARGUMENT...
     cd "$(folder "$1")" || return 1
     shift
     if [ -e compose.override.yaml ]; then # a release of the first version of fleet
-        env -u COMPOSE_FILE -u COMPOSE_PROFILES docker compose "$@" 9>&-
+        env -u COMPOSE_FILE -u COMPOSE_PROFILES timeout -k 10 "$limit" docker compose "$@" 9>&-
     else
-        env -u COMPOSE_PROFILES docker compose --project-name "$stack" --file compose.yaml "$@" 9>&-
+        env -u COMPOSE_PROFILES timeout -k 10 "$limit" docker compose --project-name "$stack" --file compose.yaml "$@" 9>&-
     fi
 }
 
@@ -205,57 +206,69 @@ up() { # RELEASE
     compose "$1" up --detach --no-build --pull never --remove-orphans
 }
 
+# Start a release and see it run; `why` says why not.
+run() { # RELEASE
+    if [ -e "$(folder "$1")/services" ]; then
+        wanted=$(tr '\n' ' ' <"$(folder "$1")/services")
+    else
+        wanted=$(compose "$1" config --services 2>/dev/null | sed 's/$/=always/' | tr '\n' ' ')
+    fi
+    why=
+    output=$(up "$1" 2>&1)
+    code=$?
+    if [ "$code" = 0 ]; then
+        watch
+        return
+    fi
+    why=$(printf '%s\n' "$output" | sed -n '/[^ ]/p' | tail -n 12)
+    [ "$code" != 124 ] || why="Compose did not end within $limit s: $(printf '%s\n' "$output" | tail -n 1)"
+    [ -n "$why" ] || why='Compose could not start it'
+    return 1
+}
+
 # --- The swap
 
-wanted=$*
-case $verb in
-    stop)
-        compose "$release" stop || exit 1
-        note_history "$release" "done"
-        exit 0
-        ;;
-esac
+if [ "$verb" = stop ]; then
+    compose "$release" stop || exit 1
+    note_history "$release" 'done'
+    exit 0
+fi
 
 journal begin
 clear_half_made
 why=
-if merge_data && data_folders; then
-    journal swap
-    if [ "$verb" = restart ]; then compose "$release" restart || why='Compose could not restart it'; fi
-    if output=$(up "$release" 2>&1); then
-        watch && why=
-    else
-        why=$(printf '%s\n' "$output" | sed -n '/[^ ]/p' | tail -n 12)
-        [ -n "$why" ] || why='Compose could not start it'
-    fi
-else
+if ! { merge_data && data_folders; }; then
     why="the data folder cannot be written: $(df -Ph "$here" | awk 'NR == 2 { print $4 " free" }')"
+elif [ "$verb" = restart ] && ! output=$(compose "$release" restart 2>&1); then
+    why=$(printf '%s\n' "$output" | tail -n 1)
+else
+    journal swap
+    run "$release"
 fi
 
 if [ -z "$why" ]; then
     become_current "$release"
-    note_history "$release" "done"
+    note_history "$release" 'done'
     rm -f "$here/journal"
     exit 0
 fi
 
 say "$why" >&2
 compose "$release" logs --no-color --no-log-prefix --tail 8 2>/dev/null | tail -n 40 >&2
+note_history "$release" "failed: $why"
 clear_half_made
 if [ "$release" = "$before" ]; then
-    note_history "$release" "failed: $why"
+    : # it was current already, and may be healthy a minute later: Docker goes on with it
 elif [ -n "$before" ]; then
     journal back
-    note_history "$release" "failed: $why"
-    if up "$before" >/dev/null 2>&1; then
-        say "note: went back to release $before"
+    if run "$before"; then
+        say "went back to release $before, which runs" >&2
     else
-        say "and release $before could not be started again: see \`docker ps -a\` on the robot" >&2
+        say "went back to release $before, which does not run either: $why" >&2
     fi
 else
-    note_history "$release" "failed: $why"
     compose "$release" stop >/dev/null 2>&1
-    say 'note: stopped it, as nothing ran before'
+    say 'stopped it, as nothing ran before' >&2
 fi
 rm -f "$here/journal"
 exit 1

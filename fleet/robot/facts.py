@@ -12,31 +12,57 @@ Sudo = Literal["root", "free", "password", "none"]
 EngineState = Literal["ready", "absent", "stopped", "forbidden"]
 
 
+SETTLED = 60.0
+"""Seconds that a container which Docker has restarted must run before it counts as settled."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Container:
-    """One container of a release. ``status`` is Docker's own sentence (``Up 3 minutes (healthy)``)."""
+    """One container of a release, in Docker's words.
+
+    ``state`` is running, exited, restarting, created, paused or dead. ``health`` is empty without a health check, else
+    healthy, unhealthy or starting. ``code`` is the exit code of its last run, ``restarts`` how often Docker has started
+    it again, ``policy`` its restart policy. ``since`` is when it was started, or when it ended, in seconds since the epoch.
+    ``robot`` is the name that the inventory gave the robot when it was shipped.
+    """
 
     name: str
     service: str
     release: str
     stack: str
+    robot: str = ""
     state: str
-    status: str
+    health: str = ""
+    code: int = 0
+    restarts: int = 0
+    policy: str = "no"
+    since: float = 0.0
+
+    @property
+    def completed(self) -> bool:
+        """It has done its work: it ended with code 0, and nothing starts it again."""
+        return self.state == "exited" and self.code == 0 and self.policy in ("", "no", "on-failure")
 
     @property
     def healthy(self) -> bool:
-        """Running, and not said to be unhealthy or still starting."""
-        return self.state == "running" and "(unhealthy)" not in self.status and "(health:" not in self.status
+        """Running and healthy as far as it can be asked, or completed."""
+        return self.completed or (self.state == "running" and self.health in ("", "healthy"))
+
+    def looping(self, now: float) -> bool:
+        """Whether it ends and is started again, over and over: Docker forgives that after some seconds, a person should not."""
+        return self.state == "restarting" or (self.restarts > 0 and now - self.since < SETTLED)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Host:
     """The computer itself. The clock is in seconds since the epoch, the temperature in °C, the memory in bytes.
 
+    ``identity`` is the same for no two computers, not even for those whose cards are copies: machine-id and boot ID.
     ``machine`` is the kernel's word, ``userland`` dpkg's: they differ where a 64-bit kernel runs a 32-bit system.
     ``emulates`` names the QEMU handlers that the kernel knows. Unknown memory is 0.
     """
 
+    identity: str = ""
     machine: str = ""
     userland: str = ""
     os: str = ""
@@ -57,9 +83,10 @@ class Host:
 
 @dataclass(frozen=True, kw_only=True)
 class Login:
-    """The user that fleet logs in as. ``noise`` is what its login scripts print, which would corrupt streams."""
+    """The user that fleet logs in as; ``home`` is its home directory. ``noise`` is what its login scripts print, which would corrupt streams."""
 
     name: str = ""
+    home: str = ""
     groups: tuple[str, ...] = ()
     sudo: Sudo = "none"
     noise: str = ""
@@ -67,10 +94,15 @@ class Login:
 
 @dataclass(frozen=True, kw_only=True)
 class Disk:
-    """The file system that holds Docker's images, in bytes. A size of 0 is unknown."""
+    """Two file systems, in bytes: Docker's images, and ``home`` of the login, where uploads are gathered.
+
+    A size of 0 is unknown. ``shared``: both are one file system.
+    """
 
     size: int = 0
     free: int = 0
+    home_free: int = 0
+    shared: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,19 +141,41 @@ class Packages:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fleet:
-    """What fleet has put on the robot.
+class StackFacts:
+    """What the robot has of one stack.
 
-    ``checksum`` is that of the current release's files. ``history`` holds its last lines, oldest first. ``images`` maps
-    the name of each image that fleet sent to its identity lines (`fleet.images.identity.IDENTITY`). ``image_store`` is
-    empty unless the probe asked for it.
+    ``checksum`` is that of the current release's files, ``services`` those that it must run. ``history`` holds its last
+    lines, oldest first. ``data`` is the size in bytes of what its containers have written, None if that was not counted
+    in time. ``journal`` is what a command is doing, or was doing when the power went; empty otherwise.
     """
 
     current: str = ""
     checksum: str = ""
     releases: tuple[str, ...] = ()
+    services: tuple[str, ...] = ()
     history: tuple[str, ...] = ()
     containers: tuple[Container, ...] = ()
+    data: int | None = 0
+    journal: str = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether every service of the current release does what it should, and nothing of another one is there."""
+        good = [one.healthy and one.release == self.current for one in self.containers]
+        return bool(good) and all(good) and {one.service for one in self.containers} >= set(self.services)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """What fleet has put on the robot.
+
+    ``stacks`` maps each stack's name to what there is of it. ``images`` maps the name of each image that fleet sent to
+    its identity lines (`fleet.images.identity.IDENTITY`). ``image_store`` is empty unless the probe asked for it.
+    ``legacy`` is the stack that the first version of fleet has shipped, where its releases are not taken over yet.
+    """
+
+    stacks: dict[str, StackFacts] = field(default_factory=dict)
+    legacy: str = ""
     images: dict[str, str] = field(default_factory=dict)
     image_store: ImageStore = field(default_factory=ImageStore)
 

@@ -105,9 +105,18 @@ def _number(text: str) -> float:
 
 
 def _pins(lines: str) -> dict[str, tuple[str, ...]]:
-    """``.../releases/<id>/compose.override.yaml:  "image": "talker:fleet-...",``: fleet writes one such line for each service."""
+    """The images of each release, by ``stack/release``.
+
+    ``.../stacks/<stack>/releases/<id>/compose.yaml:      "image": "talker:fleet-...",``: one such line for each service.
+    """
     pins: dict[str, tuple[str, ...]] = {}
     for line in lines.splitlines():
-        if match := re.search(r'/releases/([^/]+)/compose\.override\.yaml:\s*"image": "([^"]+)"', line):
-            pins[match[1]] = (*pins.get(match[1], ()), match[2])
+        if match := _PIN.search(line):
+            release = f"{match[1] or ''}/{match[2]}"
+            pins[release] = (*pins.get(release, ()), match[3])
     return pins
+
+
+_PIN = re.compile(
+    r'\.fleet/(?:stacks/([^/]+)/)?releases/([^/]+)/compose(?:\.override)?\.yaml:\s*"image": "([^"]+)"'
+)

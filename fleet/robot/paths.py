@@ -2,15 +2,20 @@
 
 Plain files in the login's ``~/.fleet/``, readable and usable by hand::
 
-    releases/<id>/   compose.yaml  compose.override.yaml  .env  files/    `docker compose up -d` works in it
-    current          -> releases/<id>
-    receipts/        the manifests of the images that were sent, for a containerd store
-    spool/           uploads that were interrupted; empty otherwise
-    history          one line for each ship, start, stop, rollback: when, what, release, by whom, outcome
-    lock             held while a release starts
+    stacks/<name>/          one folder for each stack; the name is its Compose project name
+      releases/<id>/        compose.yaml  project/  seeds/      `docker compose up -d` works in it
+      current               -> releases/<id>
+      data/                 what the robot's containers write: no release, rollback or prune touches it
+      delivered             which files of data/ came from a desktop, and their digests
+      history               one line for each ship, start, stop, rollback: when, what, release, by whom, outcome
+      journal               what a command is doing to the containers; there only while it does
+    receipts/               the manifests of the images that were sent, for a containerd store
+    spool/                  uploads that were interrupted; empty otherwise
+    runs/                   the output of what goes on without a desktop
+    lock, holder            held while containers are swapped or old releases removed; by whom
 
-Every command starts in the login's home directory, so paths are relative to it. The scripts in ``onboard/`` repeat these
-names; a test compares them.
+Every command starts in the login's home directory (`fleet.ssh.session`), so paths are relative to it. The scripts in
+``onboard/`` repeat these names; a test compares them.
 """
 
 from __future__ import annotations
@@ -20,11 +25,21 @@ HOME = ".fleet"
 PART = ".part"
 """The ending of a release's directory while it is being written."""
 
-HISTORY = f"{HOME}/history"
+STACKS = f"{HOME}/stacks"
 SPOOL = f"{HOME}/spool"
 RECEIPTS = f"{HOME}/receipts"
 
 
-def folder(release: str) -> str:
-    """The directory of a release."""
-    return f"{HOME}/releases/{release}"
+def stack(name: str) -> str:
+    """The folder of a stack."""
+    return f"{STACKS}/{name}"
+
+
+def folder(stack_name: str, release: str) -> str:
+    """The folder of a release."""
+    return f"{stack(stack_name)}/releases/{release}"
+
+
+def data(stack_name: str) -> str:
+    """The folder of what a stack's containers write."""
+    return f"{stack(stack_name)}/data"

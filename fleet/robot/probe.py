@@ -9,12 +9,25 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.images.identity import IDENTITY
 from fleet.robot import image_store
-from fleet.robot.facts import Container, Disk, Docker, EngineState, Facts, Fleet, Host, Login, Packages, Sudo
+from fleet.robot.facts import (
+    Container,
+    Disk,
+    Docker,
+    EngineState,
+    Facts,
+    Fleet,
+    Host,
+    Login,
+    Packages,
+    StackFacts,
+    Sudo,
+)
 from fleet.robot.paths import PART
 
 if TYPE_CHECKING:
@@ -36,7 +49,7 @@ def parse(text: str) -> Facts:
     return Facts(
         host=_host(sections),
         login=_login(sections, noise=noise.strip()),
-        disk=_disk(sections["disk"]),
+        disk=_disks(sections["disk"], sections["home disk"]),
         docker=_docker(sections, there="docker" in bodies),
         packages=Packages(
             installed=tuple(sections["packages"].split()),
@@ -44,11 +57,8 @@ def parse(text: str) -> Facts:
             docker_source=bool(sections["source"]),
         ),
         fleet=Fleet(
-            current=sections["current"].rpartition("/")[2],
-            checksum=sections["checksum"],
-            releases=tuple(name for name in sections["releases"].split() if not name.endswith(PART)),
-            history=tuple(sections["history"].splitlines()),
-            containers=_containers(sections["containers"]),
+            stacks=_stacks(sections["stacks"], _containers(sections["containers"])),
+            legacy=sections["legacy"],
             images=_images(sections["images"]),
             image_store=image_store.parse(sections),
         ),
@@ -59,6 +69,7 @@ def _host(sections: Mapping[str, str]) -> Host:
     temperature = _number(sections["temperature"])
     memory = sections["memory"]
     return Host(
+        identity=" ".join(sections["identity"].split()),
         machine=sections["machine"],
         userland=sections["userland"],
         os=sections["os"],
@@ -70,8 +81,8 @@ def _host(sections: Mapping[str, str]) -> Host:
 
 
 def _login(sections: Mapping[str, str], *, noise: str) -> Login:
-    name, *groups = sections["login"].splitlines() or [""]
-    return Login(name=name, groups=tuple(" ".join(groups).split()), sudo=_sudo(sections["sudo"]), noise=noise)
+    name, home, *groups = (*sections["login"].splitlines(), "", "")
+    return Login(name=name, home=home, groups=tuple(" ".join(groups).split()), sudo=_sudo(sections["sudo"]), noise=noise)
 
 
 def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
@@ -125,21 +136,54 @@ def _sudo(word: str) -> Sudo:
             return "none"
 
 
-def _disk(table: str) -> Disk:
-    """``df -Pk``: a heading, then one line of POSIX columns in KiB."""
+def _disks(images: str, home: str) -> Disk:
+    device, size, free = _file_system(images)
+    home_device, _, home_free = _file_system(home)
+    return Disk(size=size, free=free, home_free=home_free, shared=not home_device or device == home_device)
+
+
+def _file_system(table: str) -> tuple[str, int, int]:
+    """``df -Pk``: a heading, then one line of POSIX columns in KiB. What tells it from others, size and free bytes."""
     columns = table.splitlines()[-1].split() if table else []
-    if len(columns) < 4 or not (columns[1].isdigit() and columns[3].isdigit()):
-        return Disk()
-    return Disk(size=int(columns[1]) * 1024, free=int(columns[3]) * 1024)
+    if len(columns) < 6 or not all(re.fullmatch("[0-9]{1,15}", columns[place]) for place in (1, 3)):
+        return "", 0, 0
+    return f"{columns[0]} {columns[1]}", int(columns[1]) * 1024, int(columns[3]) * 1024
 
 
 def _number(text: str) -> int | None:
-    return int(text) if re.fullmatch("-?[0-9]+", text) else None
+    return int(text) if re.fullmatch("-?[0-9]{1,15}", text) else None
 
 
 def _members(line: str) -> tuple[str, ...] | None:
     """The members in a line of ``getent group`` (``docker:x:996:pi,tim``); None if there is no such group."""
     return tuple(filter(None, line.split(":")[3].split(","))) if line.count(":") == 3 else None
+
+
+def _stacks(text: str, containers: tuple[Container, ...]) -> dict[str, StackFacts]:
+    """What each stack has, from lines of a word and its value; a stack whose folder is gone may still have containers."""
+    blocks = (block.partition("\n") for block in f"\n{text}".split("\nstack ")[1:])
+    lines = {name: body.splitlines() for name, _, body in blocks}
+    names = (*lines, *sorted({one.stack for one in containers if one.stack} - lines.keys()))
+    return {name: _stack(lines.get(name, []), [one for one in containers if one.stack == name]) for name in names}
+
+
+def _stack(lines: list[str], containers: list[Container]) -> StackFacts:
+    values = defaultdict(list)
+    for line in lines:
+        word, _, value = line.partition(" ")
+        values[word].append(value)
+    last = {word: found[-1] for word, found in values.items()}
+    data = _number(last.get("data", "0"))
+    return StackFacts(
+        current=last.get("current", "").rpartition("/")[2],
+        checksum=last.get("checksum", ""),
+        releases=tuple(name for name in values["release"] if not name.endswith(PART)),
+        services=tuple(pair.partition("=")[0] for pair in values["service"]),
+        history=tuple(values["event"]),
+        containers=tuple(containers),
+        data=None if data is None else data * 1024,
+        journal=last.get("journal", ""),
+    )
 
 
 def _containers(lines: str) -> tuple[Container, ...]:
@@ -150,19 +194,35 @@ def _containers(lines: str) -> tuple[Container, ...]:
 def _container(line: str) -> Container | None:
     try:
         fields = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
-    if not isinstance(fields, dict) or not fields.keys() >= {"Labels", "Names", "State", "Status"}:
+    words = ("name", "service", "release", "stack", "robot", "state", "health", "policy", "started", "ended")
+    if not isinstance(fields, dict) or not fields.get("name"):
         return None
-    labels = dict(pair.partition("=")[::2] for pair in fields["Labels"].split(","))
+    text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in words}
+    numbers = (fields.get("code"), fields.get("restarts"))
+    code, restarts = (number if isinstance(number, int) and abs(number) < 1 << 31 else 0 for number in numbers)
     return Container(
-        name=fields["Names"],
-        service=labels.get("com.docker.compose.service", ""),
-        release=labels.get("fleet.release", ""),
-        stack=labels.get("fleet.stack", ""),
-        state=fields["State"],
-        status=fields["Status"],
+        name=text["name"].removeprefix("/"),
+        service=text["service"],
+        release=text["release"],
+        stack=text["stack"],
+        robot=text["robot"],
+        state=text["state"],
+        health=text["health"],
+        code=code,
+        restarts=restarts,
+        policy=text["policy"],
+        since=_time(text["started" if text["state"] == "running" else "ended"]),
     )
+
+
+def _time(text: str) -> float:
+    """Docker's time (RFC 3339, nanoseconds), in seconds since the epoch; 0 if there is none."""
+    try:
+        return datetime.fromisoformat(re.sub(r"\.\d+", "", text)).timestamp()
+    except (ValueError, OverflowError):
+        return 0.0
 
 
 def _images(text: str) -> dict[str, str]:
