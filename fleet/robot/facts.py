@@ -14,7 +14,7 @@ EngineState = Literal["ready", "absent", "stopped", "forbidden"]
 
 @dataclass(frozen=True, kw_only=True)
 class Container:
-    """One container of a release. ``status`` is Docker's own sentence (``Up 3 minutes (healthy)``)."""
+    """One container of a release. ``status`` is Docker's text, such as ``Up 3 minutes (healthy)``."""
 
     name: str
     service: str
@@ -25,7 +25,7 @@ class Container:
 
     @property
     def healthy(self) -> bool:
-        """Running, and not said to be unhealthy or still starting."""
+        """Running, and neither unhealthy nor still starting. Without a health check, running is enough."""
         return self.state == "running" and "(unhealthy)" not in self.status and "(health:" not in self.status
 
 

@@ -1,6 +1,6 @@
 """What exactly should this robot run? A release: the stack, the exact images, this robot's environment and files.
 
-On the robot it is a directory that works by hand (``docker compose up -d`` in it): the person's ``compose.yaml`` as it
+On the robot it is a directory that works by hand (``docker compose up -d`` in it): the user's ``compose.yaml`` as it
 is, a ``compose.override.yaml`` that pins the images, ``.env`` and ``files/``. Compose reads the first three by itself.
 """
 
@@ -42,7 +42,7 @@ class Release:
 
     @property
     def checksum(self) -> str:
-        """What `fleet.robot.probe.probe` says of the directory of this release while all of its files are right."""
+        """The checksum that ``probe.sh`` prints for this release's directory if all of its files are right."""
         digests = {f"./{name}": hashlib.sha256(data).hexdigest() for name, data in self.files.items()}
         listing = "".join(f"{digests[name]}  {name}\n" for name in sorted(digests, key=str.encode))
         return hashlib.sha256(listing.encode()).hexdigest()
@@ -56,11 +56,11 @@ class Release:
             archive.addfile(folder)
             for name, data in sorted(self.files.items()):
                 entry = tarfile.TarInfo(name)
-                # .env may hold what only the robot's login should read; bind-mounted files are read by containers.
+                # .env may hold secrets that only the login should read; containers read the bind-mounted files.
                 entry.size, entry.mode = len(data), 0o600 if name == ".env" else 0o644
                 archive.addfile(entry, io.BytesIO(data))
             end = archive.offset + 2 * tarfile.BLOCKSIZE
-        return buffer.getvalue()[:end]  # Python fills it up to 10 kB, for tapes
+        return buffer.getvalue()[:end]  # Python pads it to 10 kB, for tapes
 
 
 def compose(*, robot: Robot, stack: Stack, find: Callable[[str, str], Image]) -> Release:
