@@ -49,58 +49,56 @@ def read_stack(path: Path) -> Stack:
     document = yamlfile.read(path, error=ComposeError, cure=cure)
     services = document.value.get("services")
     if not isinstance(services, dict) or not services:
-        raise ComposeError(
-            f"{path}: there is no service in it", cure="a stack is a Compose file with `services:`"
-        )
+        raise ComposeError(f"{path}: contains no service", cure="a stack is a Compose file with `services:`")
     images: dict[str, str] = {}
     builds: dict[str, Build] = {}
     for name, service in services.items():
         where = f"{path}:{document.line(('services', name))}: services.{name}"
-        said = service if isinstance(service, dict) else {}
-        images[name] = _image_name(said.get("image"), where=where)
-        if build := said.get("build"):
+        fields = service if isinstance(service, dict) else {}
+        images[name] = _image_name(fields.get("image"), where=where)
+        if build := fields.get("build"):
             builds[name] = _build(build, folder=path.parent, where=where)
     text = yamlfile.text(path, error=ComposeError)
     return Stack(name=_name(document.value.get("name"), path), text=text, images=images, builds=builds)
 
 
-def _image_name(said: object, *, where: str) -> str:
-    if not isinstance(said, str):
-        cure = "robots are sent images by name: add `image: NAME`, next to `build:` if it is built here"
+def _image_name(image: object, *, where: str) -> str:
+    if not isinstance(image, str):
+        cure = "add `image: NAME`, next to `build:` if the image is built here"
         raise ComposeError(f"{where}: names no image", cure=cure)
-    if "$" in said:
-        cure = "write the plain name: every release pins its images by itself"
-        raise ComposeError(f"{where}.image: {said} holds a variable", cure=cure)
-    return said
+    if "$" in image:
+        cure = "write the name without a variable: each release pins its own images"
+        raise ComposeError(f"{where}.image: {image} contains a variable", cure=cure)
+    return image
 
 
-def _name(said: object, path: Path) -> str:
+def _name(given: object, path: Path) -> str:
     """Compose's project name: ``name:``, else that of the directory; ``docker/`` says nothing, so its parent's."""
     folder = path.resolve().parent
-    name = str(said or (folder.parent if folder.name == "docker" else folder).name)
+    name = str(given or (folder.parent if folder.name == "docker" else folder).name)
     return re.sub(r"[^a-z0-9_-]", "", name.lower()).lstrip("_-") or "stack"
 
 
 def _build(value: object, *, folder: Path, where: str) -> Build:
-    said = {"context": value} if isinstance(value, str) else value
-    if not isinstance(said, dict):
+    fields = {"context": value} if isinstance(value, str) else value
+    if not isinstance(fields, dict):
         raise ComposeError(f"{where}.build: is neither a path nor a mapping", cure="see Compose's `build:`")
-    context = (folder / str(said.get("context") or ".")).resolve()
+    context = (folder / str(fields.get("context") or ".")).resolve()
     return Build(
         context=context,
-        dockerfile=context / str(said.get("dockerfile") or "Dockerfile"),
-        target=str(said.get("target") or ""),
-        arguments=_arguments(said.get("args") or {}, where=where),
+        dockerfile=context / str(fields.get("dockerfile") or "Dockerfile"),
+        target=str(fields.get("target") or ""),
+        arguments=_arguments(fields.get("args") or {}, where=where),
     )
 
 
-def _arguments(said: object, *, where: str) -> tuple[tuple[str, str], ...]:
+def _arguments(args: object, *, where: str) -> tuple[tuple[str, str], ...]:
     """Build arguments, of a mapping or a list of ``NAME=value``; one without a value is left to the Dockerfile."""
-    if isinstance(said, dict):
-        pairs = [(str(name), value) for name, value in said.items() if value is not None]
-    elif isinstance(said, list):
+    if isinstance(args, dict):
+        pairs = [(str(name), value) for name, value in args.items() if value is not None]
+    elif isinstance(args, list):
         pairs = [
-            (name, value) for name, equals, value in (str(pair).partition("=") for pair in said) if equals
+            (name, value) for name, equals, value in (str(pair).partition("=") for pair in args) if equals
         ]
     else:
         raise ComposeError(

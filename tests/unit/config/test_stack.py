@@ -64,14 +64,14 @@ def test_how_an_image_is_built(tmp_path: Path, build: str, expected: Build) -> N
     ("text", "what"),
     [
         ("", "is empty"),
-        ("name: x\n", "there is no service in it"),
-        ("services: {}\n", "there is no service in it"),
-        ("services: [a]\n", "there is no service in it"),
+        ("name: x\n", "contains no service"),
+        ("services: {}\n", "contains no service"),
+        ("services: [a]\n", "contains no service"),
         ("services:\n  a:\n", "2: services.a: names no image"),
         ("services:\n  a:\n    build: .\n", "2: services.a: names no image"),
         ("services:\n  a: 5\n", "2: services.a: names no image"),
         ("services:\n  ok:\n    image: ok\n  a:\n    image: [x]\n", "4: services.a: names no image"),
-        ("services:\n  a:\n    image: x:${TAG}\n", "2: services.a.image: x:${TAG} holds a variable"),
+        ("services:\n  a:\n    image: x:${TAG}\n", "2: services.a.image: x:${TAG} contains a variable"),
         (
             "services:\n  a:\n    image: x\n    build: [x]\n",
             "2: services.a.build: is neither a path nor a mapping",

@@ -135,7 +135,7 @@ def test_an_image_for_another_platform_is_refused(shelf: Shelf, store: Store) ->
     with pytest.raises(ImageError) as caught:
         store.find(shelf.name, "linux/arm64")
     assert caught.value.what == (
-        f"the image {shelf.name}:latest-arm64 was made for linux/amd64, and the robot runs linux/arm64"
+        f"the image {shelf.name}:latest-arm64 was built for linux/amd64, and the robot runs linux/arm64"
     )
     assert caught.value.cure == "run `fab build`"
 
