@@ -1,7 +1,7 @@
-"""What may be written where in an inventory, and how is it said when something else is?
+"""Which values does an inventory take, and what is the message for any other?
 
-Patterns (the models and the JSON Schema use the same ones), each with its sentence, and the plain words for everything
-that validation can find wrong. Only text: nothing is read here.
+Patterns (the models and the JSON Schema use the same ones), each with its message, and a message for everything
+else that validation can find. No file is read here.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ BOTH_NAMES: dict[str, Any] = {
 
 _MUST: Mapping[str, str] = {
     TEXT: "must not be empty",
-    NAME: "is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+    NAME: "is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
     MEMBER: "must be a robot's name or a wildcard such as 'pi*'",
     ADDRESS: "must be a host name or an IP address alone; the login goes under `user`, the port under `port`",
     USER: "must be a login name, without '@', ':' or spaces",
@@ -59,7 +59,7 @@ _MUST: Mapping[str, str] = {
     SHA256: "must be 64 hexadecimal digits, as `sha256sum` prints them",
     VERSION: "must be a full version such as '27.5.1': a shorter one would match several",
     SIZE: "must be a number and k, m or g, such as '10m'",
-    VARIABLE: "is no name for a variable: letters, digits and '_', not a digit first",
+    VARIABLE: "is not a name for a variable: use letters, digits and '_', not a digit first",
     FILE: "must be a plain relative path: it stays below files/ on the robot (no '/' first or last, no '.' or '..')",
 }
 
@@ -89,13 +89,13 @@ _KINDS: Mapping[str, str] = {
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
-    """The sentence for a key that does not exist, where ``known`` do."""
+    """The message for a key that does not exist; ``known`` are those that do."""
     known = tuple(known)
     return f"no such key; {did_you_mean(key, known) or 'there are: ' + ', '.join(known)}"
 
 
 def not_like(pattern: str, value: str) -> str:
-    """The sentence for text that is not like ``pattern``, one of this module's."""
+    """The message for text that does not match ``pattern``, one of this module's."""
     if pattern == NAME and value == "all":
         return "'all' always means every robot; values for every robot go under `defaults`"
     if pattern == VARIABLE and value in _ELSEWHERE:
@@ -106,7 +106,7 @@ def not_like(pattern: str, value: str) -> str:
 
 
 def ip(value: str) -> str:
-    """``value`` where it is an IP address; raises ValueError with the sentence where it is not."""
+    """``value`` if it is an IP address; otherwise raise ValueError with the message."""
     try:
         ip_address(value)
     except ValueError:
@@ -115,7 +115,7 @@ def ip(value: str) -> str:
 
 
 def environment_value(value: object) -> str | int | float:
-    """``value`` where it is text or a number; raises ValueError with the sentence where it is not."""
+    """``value`` if it is text or a number; otherwise raise ValueError with the message."""
     if isinstance(value, bool):
         raise ValueError("YAML reads yes, no, on, off, true and false as a truth value; quote it")  # noqa: TRY004
     if isinstance(value, str | int | float):
@@ -126,7 +126,7 @@ def environment_value(value: object) -> str | int | float:
 
 
 def wrong(kind: str, key: str, value: object) -> str:
-    """The sentence for ``value`` at ``key``; ``kind`` is validation's word for what is wrong with it."""
+    """The message for a wrong ``value`` at ``key``; ``kind`` is pydantic's name of the error."""
     if key in _NUMBERS and kind.startswith(("int_", "greater_", "less_")):
         return f"{_NUMBERS[key]}, not {_shown(value)}"
     if kind == "literal_error":
@@ -145,5 +145,5 @@ def _shown(value: object) -> str:
         return "a list" if isinstance(value, list) else "a mapping"
     if isinstance(value, bool):
         return "true" if value else "false"
-    said = str(value)
-    return said if len(said) <= 40 else f"{said[:37]}..."
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -12,14 +12,14 @@ IDENTITY = (
     "{{with .Healthcheck}}{{range .Test}}check {{println .}}{{end}}"
     '{{printf "checked %d %d %d %d" .Interval .Timeout .StartPeriod .Retries | println}}{{end}}{{end}}'
 )
-"""What makes two images the same on any engine and store, as a ``docker image inspect --format`` template.
+"""A ``docker image inspect --format`` template whose lines are equal exactly for equal images, on any engine and store.
 
 An image's ID differs between Docker's classic and containerd stores (moby #48401); these lines do not.
 """
 
 
 def identity(attributes: dict[str, Any]) -> str:
-    """The lines by which two images are the same, from an inspection: what `fleet.images.identity.IDENTITY` prints."""
+    """The lines that `IDENTITY` prints, computed from an image's inspection on this computer."""
     config = attributes.get("Config") or {}
     lines = [f"{attributes['Os']}/{attributes['Architecture']}"]
     lines += [f"layer {layer}" for layer in attributes["RootFS"].get("Layers") or []]

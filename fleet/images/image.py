@@ -1,8 +1,8 @@
-"""What is in a local image, and where do its bytes come from? The only module that imports the Docker SDK.
+"""What is a local image, and what is it called here and on robots?
 
-An image reaches robots under a name that says what it is: ``talker:fleet-3f2a9c1b5d0e``, the last part a digest of its
-identity (`fleet.images.identity.IDENTITY`). Names of that form are never moved, so a release keeps exactly the image it was
-shipped with, and nothing on a robot depends on ``latest``.
+On robots an image has a name that is derived from its content: ``talker:fleet-3f2a9c1b5d0e``, the last part a digest of its
+identity (`fleet.images.identity.IDENTITY`). A name of that form never moves to another image, so a release keeps exactly the
+image it was shipped with, and nothing on a robot depends on ``latest``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Image:
 
     @property
     def shipped_as(self) -> str:
-        """The name it gets on robots."""
+        """Its name on robots."""
         return f"{repository(self.reference)}:fleet-{self.fingerprint}"
 
 
@@ -50,9 +50,9 @@ def repository(reference: str) -> str:
 
 
 def tagged_for(reference: str, platform: str) -> str:
-    """The tag a build for one platform gets here: ``talker`` for linux/arm/v7 is ``talker:latest-armv7``.
+    """The tag of a build for one platform on this computer: ``talker`` for linux/arm/v7 is ``talker:latest-armv7``.
 
-    One name can hold one platform only in Docker's classic store.
+    In Docker's classic store, a name can hold only one platform.
     """
     name = repository(reference)
     tag = reference.partition("@")[0][len(name) + 1 :] or "latest"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 PLAIN = "application/vnd.oci.image.layer.v1.tar"
-"""The media type of a layer's tar; what is packed adds to it (opencontainers/image-spec, layer.md)."""
+"""The media type of a layer's tar; compressed ones append to it (opencontainers/image-spec, layer.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class Blob:
     """A layer as it travels and as a containerd store keeps it.
 
     ``diff_id`` is the digest of its tar, ``digest`` that of these bytes (``sha256:...``), ``size`` their number.
-    ``media_type`` is OCI's. ``unpacked`` is the size of the tar in bytes, 0 where nobody has counted.
+    ``media_type`` is OCI's. ``unpacked`` is the size of the tar in bytes, 0 if it is unknown.
     """
 
     diff_id: str
@@ -30,7 +30,7 @@ class Blob:
 
     @classmethod
     def plain(cls, diff_id: str, size: int) -> Blob:
-        """A layer's tar as it is."""
+        """A layer's tar, not compressed."""
         return cls(diff_id=diff_id, digest=diff_id, size=size, media_type=PLAIN, unpacked=size)
 
     @property
@@ -48,6 +48,6 @@ def chain_id(diff_ids: Sequence[str]) -> str:
 
 
 def common_prefix(one: Sequence[str], other: Sequence[str]) -> int:
-    """The length of their common prefix."""
+    """The length of the common prefix of two sequences."""
     pairs = zip(one, other, strict=False)
     return next((count for count, (a, b) in enumerate(pairs) if a != b), min(len(one), len(other)))

@@ -19,17 +19,17 @@ from fleet.images.identity import identity
 from fleet.images.image import Image, tagged_for
 
 CHUNK = 1 << 20
-"""The most bytes taken from the engine at once."""
+"""Bytes read from the engine at once, at most."""
 
 PIECE = 128 * 1024
-"""The most bytes sent at once, unless the engine gives more; larger ones would cost the memory allocator more than they save."""
+"""Bytes passed on at once, unless the engine gives more. Larger pieces cost the memory allocator more than they save."""
 
 
 class Store:
     """The local engine's images. Open it with ``with``: one connection to the engine for the whole of a verb."""
 
     def __init__(self) -> None:
-        import docker  # noqa: PLC0415  takes up to 0.8 s, and most verbs do without it
+        import docker  # noqa: PLC0415  takes up to 0.8 s, and most verbs do not need it
 
         try:
             self._client = _client(docker)
@@ -48,25 +48,25 @@ class Store:
         self._client.close()
 
     def find(self, reference: str, platform: str) -> Image:
-        """The local image of that name for that platform: as `tagged_for` names it, else under its own name.
+        """The local image of that name for that platform: under the name of `tagged_for`, else under its own.
 
         Raises:
-            ImageError: there is none, or it was made for another platform.
+            ImageError: there is no such image, or it was built for another platform.
 
         """
         wrong = ""
         for name in (tagged_for(reference, platform), reference):
             with contextlib.suppress(self._errors.ImageNotFound):
-                found = self._client.images.get(name)
-                made_for = _platform(found.attrs)
-                if made_for == platform:
+                local = self._client.images.get(name)
+                built_for = _platform(local.attrs)
+                if built_for == platform:
                     return Image(
                         reference=name,
                         platform=platform,
-                        size=found.attrs["Size"],
-                        identity=identity(found.attrs),
+                        size=local.attrs["Size"],
+                        identity=identity(local.attrs),
                     )
-                wrong = f"the image {name} was made for {made_for}, and the robot runs {platform}"
+                wrong = f"the image {name} was built for {built_for}, and the robot runs {platform}"
         raise ImageError(
             wrong or f"there is no image {reference} for {platform} here", cure="run `fab build`"
         )
@@ -82,14 +82,14 @@ class Store:
         """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.
 
         Raises:
-            DesktopError: the engine fails on the way.
+            DesktopError: the engine fails while it is read.
 
         """
         try:
             with self._turns:
                 self._client.images.get(local).tag(
                     reference
-                )  # an archive carries the name it is asked for by
+                )  # the archive contains the name it is requested by
                 yield from _gathered(self._client.api.get_image(reference, chunk_size=CHUNK))
         except (self._errors.DockerException, OSError) as problem:
             raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
@@ -103,7 +103,7 @@ def _client(sdk: ModuleType) -> docker.DockerClient:
 
 
 def _gathered(pieces: Iterable[bytes]) -> Generator[bytes]:
-    """The same bytes in pieces of up to `PIECE`: the engine's own, of 32 KiB, each take two packets of SSH."""
+    """The same bytes in pieces of up to `PIECE`: the engine's own pieces of 32 KiB take two SSH packets each."""
     held: list[bytes] = []
     size = 0
     for piece in pieces:
@@ -116,7 +116,7 @@ def _gathered(pieces: Iterable[bytes]) -> Generator[bytes]:
 
 
 def _platform(attributes: dict[str, Any]) -> str:
-    """Docker's name of an image's platform; every 32-bit ARM image is taken for v7 unless it says otherwise."""
+    """Docker's name of an image's platform; a 32-bit ARM image without a variant counts as v7."""
     architecture = attributes["Architecture"]
     variant = attributes.get("Variant") or ("v7" if architecture == "arm" else "")
     return "/".join(filter(None, (attributes["Os"], architecture, variant if architecture == "arm" else "")))

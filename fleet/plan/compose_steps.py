@@ -71,7 +71,7 @@ def stop(robot: Robot, release: str) -> Step:
 
 
 def last_words(robot: Robot, release: str) -> Step:
-    """The last log lines of a release's containers."""
+    """Show the last log lines of a release's containers."""
     return Step(
         title="show the last log lines",
         argv=compose(robot, release, "logs", "--no-color", "--no-log-prefix", "--tail", "8"),

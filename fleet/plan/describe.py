@@ -1,4 +1,4 @@
-"""How do a plan and an outcome read as text?"""
+"""How are a plan and an outcome shown as text?"""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ if TYPE_CHECKING:
     from fleet.plan.outcome import Outcome
     from fleet.plan.step import Plan, Step
 
+from fleet.robot.paths import HISTORY
 from fleet.units import human_bytes, human_seconds
 
 LONG_SCRIPT = 15
-"""Lines of a script that are shown; of a longer one the first, which is a comment."""
+"""A script with more lines than this after its first is shown by its first, which is a comment."""
 
 
 def headline(outcome: Outcome) -> str:
-    """What became of a robot, in the line that its name begins."""
+    """A robot's outcome in one line, to be printed after its name."""
     if outcome.good:
         took = f", {human_seconds(outcome.seconds)}" if outcome.status == "done" else ""
         sent = f", sent {human_bytes(outcome.sent)}" if outcome.sent else ""
@@ -27,7 +28,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def details(outcome: Outcome) -> list[str]:
-    """What is told below the robot's line: the rest of the reason (log lines), then the cure."""
+    """The lines below a robot's headline: the rest of the reason (log lines), then the cure."""
     if outcome.good:
         return []
     lines = [f"  | {line}" for line in outcome.reason.splitlines()[1:]]
@@ -49,7 +50,7 @@ def lines(plan: Plan) -> list[str]:
     for step in plan.afterwards:
         text += [f"  when all is well: {step.title}", _command(step)]
     if plan.record and plan.steps:
-        text += ["  at the end: one line into ~/.fleet/history"]
+        text += [f"  at the end: one line into ~/{HISTORY}"]
     return text
 
 
@@ -59,7 +60,8 @@ def _command(step: Step) -> str:
 
 
 def _shown(argument: str) -> str:
-    """A script that is a page long by its first line, which says what it does."""
-    first, _, rest = argument.partition("\n")
-    count = rest.count("\n") + 1
-    return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument
+    """A file of ``onboard/`` by its second line, which says what it does; another long script by its first."""
+    first, *rest = argument.splitlines()[argument.startswith("#!") :] or [""]
+    if argument.startswith("#!") or len(rest) > LONG_SCRIPT:
+        return f"{first} [{len(rest)} more lines: --dry --json]"
+    return argument

@@ -1,4 +1,4 @@
-"""What became of one robot?"""
+"""What is the result for one robot?"""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
+    """The result for one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
 
     ``transfer`` is how the images were sent, with the reason if an earlier attempt had failed. ``unusable``: the bytes
     arrived, and the robot's Docker cannot use them; another kind of transfer may help.
@@ -34,7 +34,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether the robot is as the person asked."""
+        """Whether the robot is in the state that was asked for."""
         return self.status in ("done", "unchanged")
 
 
@@ -45,5 +45,5 @@ def failure(robot: str, problem: FleetError) -> Outcome:
 
 
 def exit_code(outcomes: tuple[Outcome, ...]) -> int:
-    """0 when every robot is as asked, else 1."""
+    """0 if every outcome is good, else 1."""
     return 0 if all(outcome.good for outcome in outcomes) else 1

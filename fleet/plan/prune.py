@@ -1,6 +1,7 @@
-"""What may be removed from a robot: which releases and images of fleet's own does nobody need any more?
+"""Which old releases and images may be removed from a robot?
 
-The current release and the one before it are never removed, nor any image that a release which stays runs.
+The current release, the one before it, and the images of releases that stay are never removed. Images that fleet did not
+send are not touched.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
 
 
 def _frees(steps: Iterable[Step], facts: Facts) -> str:
-    """Docker tells no more without measuring the disk, which takes minutes on a card."""
+    """The most that the steps free. Docker knows the exact size only after measuring the disk, minutes on an SD card."""
     size = sum(facts.fleet.image_store.sizes.get(name, 0) for step in steps for name in step.argv)
     return f"frees {human_bytes(size)} at most: layers that other images share stay" if size else ""
 
 
 def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:
-    """The steps that remove what is old; ``shipped`` is a release that has become current since, with its ``images``."""
+    """The steps that remove old releases. ``shipped`` is a release that became current since the probe, with its ``images``."""
     ranked = list(dict.fromkeys(filter(None, (shipped, facts.fleet.current, *_newest_first(facts)))))
     stay = ranked[: max(keep, LEAST)]
     gone = sorted(set(facts.fleet.releases) - set(stay))
@@ -61,7 +62,7 @@ def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] =
 
 
 def _newest_first(facts: Facts) -> tuple[str, ...]:
-    """Releases that have run, the last one first; those that never did come after them, in no order."""
+    """Releases that have run, newest first; then those that never ran, in no particular order."""
     ran = [event.release for event in history.history(facts.fleet.history) if event.outcome == "done"]
     return tuple(
         release for release in (*reversed(ran), *facts.fleet.releases) if release in facts.fleet.releases
@@ -78,7 +79,7 @@ def _forget(releases: list[str]) -> tuple[Step, ...]:
 def _remove(images: list[str]) -> tuple[Step, ...]:
     if not images:
         return ()
-    receipts = (f"{paths.HOME}/receipts/{name.rpartition(':fleet-')[2]}" for name in images)
+    receipts = (f"{paths.RECEIPTS}/{name.rpartition(':fleet-')[2]}" for name in images)
     return (
         Step(
             title=f"remove {_count(images, 'image')}",
@@ -86,7 +87,7 @@ def _remove(images: list[str]) -> tuple[Step, ...]:
             limit=120.0,
             harmless=True,
         ),
-        Step(title="forget what they were made of", argv=("rm", "-f", *receipts), harmless=True),
+        Step(title="remove their receipts", argv=("rm", "-f", *receipts), harmless=True),
     )
 
 

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def ready(facts: Facts, *, robot: Robot) -> None:
-    """Let a robot pass that can run containers of its platform.
+    """Check that a robot can run containers of its platform.
 
     Raises:
-        NotReady: with what is missing and its cure.
+        NotReady: what is missing, and its cure.
 
     """
     provision = f"`fab provision --hosts {robot.name}`"

@@ -27,7 +27,7 @@ HEALTHY_WITHIN = 180
 
 
 def missing(release: Release, facts: Facts) -> tuple[Image, ...]:
-    """The images of a release that a robot does not have."""
+    """The images of a release that the robot does not have."""
     return tuple(
         image for image in release.images if facts.fleet.images.get(image.shipped_as) != image.identity
     )
@@ -36,12 +36,12 @@ def missing(release: Release, facts: Facts) -> tuple[Image, ...]:
 def plan(
     *, robot: Robot, release: Release, facts: Facts, delivery: Delivery, by: str, keep: int = prune.KEEP
 ) -> Plan:
-    """The steps from what the robot has (``facts``) to ``release``; none where it already runs it.
+    """The steps that bring a robot to ``release``; none if it runs it already.
 
-    ``delivery`` brings the images that are `missing`. Afterwards the ``keep`` newest releases stay.
+    ``delivery`` brings the images that are `missing`. Only the ``keep`` newest releases stay on the robot.
 
     Raises:
-        NotReady: the robot cannot take it: no usable Docker, another architecture.
+        NotReady: the robot's Docker cannot be used, or the robot has another platform.
 
     """
     ready(facts, robot=robot)
@@ -71,7 +71,7 @@ def plan(
 
 
 def rollback(*, robot: Robot, facts: Facts, to: str, by: str) -> Plan:
-    """The steps back to release ``to``, or to the one that ran before the current one where ``to`` is empty.
+    """The steps back to release ``to``; if that is empty, to the release that ran before the current one.
 
     Raises:
         NotReady: there is no such release on the robot.
@@ -111,19 +111,19 @@ def _check(robot: Robot, release: str) -> Step:
         limit=30.0,
         harmless=True,
         resumes=True,
-        cure="mend the Compose file or the robot's values in the inventory",
+        cure="fix the Compose file or the robot's values in the inventory",
     )
 
 
 def _clear(others: tuple[str, ...]) -> tuple[Step, ...]:
-    """A stack that has another name now: Compose would leave the containers of the old one running beside it."""
+    """Remove the containers of a stack with another name: Compose would leave them running beside the new one."""
     if not others:
         return ()
     return (Step(title="remove the containers of another stack", argv=("docker", "rm", "--force", *others)),)
 
 
 def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
-    """Start again what ran before; where nothing did, stop what failed rather than let it restart for ever.
+    """Start the previous release again; without one, stop the failed release, which would otherwise restart forever.
 
     A release that was current already is left to Docker: it may be healthy a minute later.
     """
@@ -135,7 +135,7 @@ def _previous(robot: Robot, facts: Facts, *, failed: str) -> tuple[Step, ...]:
 
 
 def _before(facts: Facts) -> str:
-    """The release that ran before the current one, as the history tells; "" where it tells none that is still there."""
+    """The release that ran before the current one, from the history; "" if none of those is still on the robot."""
     ran = (
         event.release for event in reversed(history.history(facts.fleet.history)) if event.outcome == "done"
     )

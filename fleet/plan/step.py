@@ -1,6 +1,6 @@
-"""What are a step and a plan, and how do they read as text?
+"""What are a step and a plan?
 
-Values only: a plan can be compared, printed (``--dry``) or applied (`fleet.rollout.pool`). Nothing here touches the world.
+Values only: a plan can be compared, printed (`fleet.plan.describe`) or applied (`fleet.rollout.apply`).
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ class Bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageArchive:
-    """A local image, fed to a command as the archive that ``docker save`` makes; never held whole.
+    """A local image, fed to a command as the archive that ``docker save`` makes; never held in memory as a whole.
 
-    ``image`` is its name here, ``reference`` the one it gets on the robot. ``size`` is Docker's figure of the image in bytes: an estimate of the archive, good enough to show progress.
+    ``image`` is its name here, ``reference`` the one it gets on the robot. ``size`` is the image's size in bytes
+    as Docker reports it: an estimate of the archive's, good enough to show progress.
     """
 
     image: str
@@ -42,8 +43,8 @@ class ImageArchive:
 class Upload:
     """Bytes that a robot may ask for, from any offset on: ``digest`` is their SHA-256 in hex, ``size`` their number.
 
-    ``there`` bytes had arrived when the robot was looked at. ``data`` are the bytes where they are few; others lie on this
-    computer under their digest.
+    ``there`` of them had arrived when the robot was probed. ``data`` holds the bytes if they are few; others are in the
+    layer cache of this computer under their digest.
     """
 
     digest: str
@@ -54,7 +55,7 @@ class Upload:
 
 @dataclass(frozen=True, kw_only=True)
 class UploadBatch:
-    """Pieces that a robot asks for one after the other; ``label`` is what a person calls them, ``to`` its address."""
+    """The uploads that a robot asks for one after the other; ``label`` is their name for people, ``to`` the robot's address."""
 
     label: str
     to: str
@@ -62,7 +63,7 @@ class UploadBatch:
 
     @property
     def size(self) -> int:
-        """Bytes that will be sent: what has arrived in earlier attempts is not sent again."""
+        """Bytes that will be sent: those that arrived in earlier attempts are not sent again."""
         return sum(piece.size - piece.there for piece in self.pieces)
 
 
@@ -73,12 +74,12 @@ Feed = Bytes | ImageArchive | UploadBatch
 class Step:
     """One command on one robot.
 
-    ``limit`` is in seconds; the command is ended on the robot when it passes. ``None`` trusts the link's own liveness,
-    for commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without
-    surrounding white space. A step with ``fresh_login`` runs on a new connection (group membership is read at login). One
-    ``until_closed`` has its standard input held open, and ends when the connection does. A ``harmless`` one touches
-    nothing that runs: when it fails, there is nothing to recover yet. One that ``resumes`` goes on where it was when it
-    is run again, and so is when the link was lost.
+    ``limit`` is in seconds: the robot ends the command after that time. Without one, only a lost link ends it; this is for
+    commands whose time depends on bytes and bandwidth. ``expect`` is the output that proves the step, without surrounding
+    white space. ``fresh_login``: the step runs on a new connection, because group membership is read at login.
+    ``until_closed``: its standard input is held open, and it ends with the connection. ``harmless``: it touches nothing
+    that runs, so if it fails there is nothing to recover yet. ``resumes``: run again, it continues where it stopped, so it
+    is run again after a lost link.
     """
 
     title: str
@@ -95,7 +96,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What the robot's history will say of a plan: which verb, to which release, by whom (``tim@desktop``)."""
+    """The line that a plan adds to the robot's history: the verb, the release, and who ran it (``tim@desktop``)."""
 
     verb: str
     release: str
@@ -106,11 +107,11 @@ class Record:
 class Plan:
     """What will be done to one robot.
 
-    ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added
-    to the reason (a container's last log lines). ``recover`` runs then and brings back what ran before. ``afterwards`` runs
-    when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot as it is, and
-    ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``forecast`` is what is expected of
-    it: bytes, time, disk. ``transfer`` is how the images are sent, if any are.
+    ``explain`` and ``recover`` run when a step fails that is not ``harmless``, or any step after it. The output of
+    ``explain`` (a container's last log lines) is added to the reason; ``recover`` starts again what ran before.
+    ``afterwards`` runs when all steps have succeeded; its own failures are ignored. A plan without steps leaves the robot
+    as it is, and ``summary`` says why; otherwise ``summary`` says what the robot will become. ``forecast`` is the expected
+    use of bytes, time and disk. ``transfer`` is how the images are sent, if any are.
     """
 
     robot: str

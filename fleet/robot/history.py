@@ -21,7 +21,7 @@ class Event:
 
 
 def history(lines: tuple[str, ...]) -> tuple[Event, ...]:
-    """The events of a robot's history, oldest first; lines that are none (cut by a full disk) are passed over."""
+    """The events of a robot's history, oldest first. A line with another number of fields (cut by a full disk) is skipped."""
     fields = (line.split("\t") for line in lines)
     return tuple(
         Event(when=f[0], verb=f[1], release=f[2], by=f[3], outcome=f[4]) for f in fields if len(f) == 5

@@ -68,19 +68,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ),
         (
             "robots: {a/b: }",
-            "robots['a/b']: is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+            "robots['a/b']: is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
         ),
         (
             "robots: {pi*: }",
-            "robots['pi*']: is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+            "robots['pi*']: is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
         ),
         (
             "robots: {'a,b': }",
-            "robots['a,b']: is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+            "robots['a,b']: is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
         ),
         (
             "groups: {-g: []}",
-            "groups.-g: is no name: letters, digits, '_', '.' and '-', a letter or digit first",
+            "groups.-g: is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
         ),
         (
             "groups: {all: []}",
@@ -164,7 +164,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("defaults: {environment: {A: [1]}}", "defaults.environment.A: must be text or a number"),
         (
             "defaults: {environment: {A-B: 1}}",
-            "defaults.environment.A-B: is no name for a variable: letters, digits and '_', not a digit first",
+            "defaults.environment.A-B: is not a name for a variable: use letters, digits and '_', not a digit first",
         ),
         (
             "defaults: {environment: {ROS_MASTER_URI: x}}",

@@ -159,7 +159,7 @@ def test_the_plan_of_the_verb() -> None:
     seen = robot("abcd")
     assert prune.plan(robot=PI, facts=seen, keep=3, by="tim@desktop") == Plan(
         robot="pi1",
-        summary="remove 1 old release and remove 1 old image and forget what they were made of",
+        summary="remove 1 old release and remove 1 old image and remove their receipts",
         steps=prune.after(seen, keep=3),
         record=Record(verb="prune", release="d", by="tim@desktop"),
     )

@@ -29,7 +29,7 @@ CHECK = Step(
     limit=30.0,
     harmless=True,
     resumes=True,
-    cure="mend the Compose file or the robot's values in the inventory",
+    cure="fix the Compose file or the robot's values in the inventory",
 )
 LOAD, PROVE = stream((TALKER,), facts=facts(disk_free=10**12)).steps
 
@@ -175,47 +175,13 @@ def test_no_room_is_needed_where_nothing_is_sent() -> None:
     assert shipped(change(running(), disk_free=0)).steps == ()
 
 
-@pytest.mark.parametrize(
-    ("values", "what", "cure"),
-    [
-        ({"docker_state": "absent"}, "Docker is not installed", "`fab provision --hosts pi1`"),
-        (
-            {"docker_state": "stopped"},
-            "Docker is installed and not running",
-            "`fab provision --hosts pi1`, or see `journalctl -u docker` there",
-        ),
-        (
-            {"docker_state": "forbidden"},
-            "pi may not use Docker",
-            "`fab provision --hosts pi1` puts the login into the docker group",
-        ),
-        ({"compose": ""}, "Docker's Compose plugin is missing", "`fab provision --hosts pi1`"),
-        (
-            {"userland": "armhf"},
-            "it runs linux/arm/v7, and the inventory says linux/arm64",
-            "set `platform: linux/arm/v7` for pi1",
-        ),
-        (
-            {"machine": "x86_64", "userland": "amd64", "emulates": ("qemu-arm",)},
-            "it runs linux/amd64 and linux/arm/v7, and the inventory says linux/arm64",
-            "set `platform: linux/amd64` for pi1",
-        ),
-        (
-            {"machine": "armv6l", "userland": "armhf"},
-            "it runs armv6l, and the inventory says linux/arm64",
-            "",
-        ),
-    ],
-)
-def test_a_robot_that_cannot_take_it_is_refused_with_the_cure(
-    values: dict[str, object], what: str, cure: str
-) -> None:
-    """The same for every verb that needs containers; nothing was touched."""
+@pytest.mark.parametrize("values", [{"docker_state": "absent"}, {"userland": "armhf"}])
+def test_a_robot_that_is_not_ready_is_refused(values: dict[str, object]) -> None:
+    """By shipping and by going back alike (`fleet.plan.readiness` says why)."""
     seen = change(running(), **values)
     for attempt in (shipped, rolled):
-        with pytest.raises(NotReady) as caught:
+        with pytest.raises(NotReady):
             attempt(seen)
-        assert (caught.value.what, caught.value.cure) == (what, cure)
 
 
 def test_an_emulating_robot_takes_the_images_it_emulates() -> None:

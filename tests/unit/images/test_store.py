@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import contextlib
+import gc
+import hashlib
+import io
+import json
+import subprocess
+import tarfile
+import threading
+import uuid
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from fleet.errors import DesktopError, ImageError
+from fleet.images import identity as facts
+from fleet.images.store import CHUNK, Store
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+    from pathlib import Path
+
+CONFIG: dict[str, Any] = {
+    "Env": ["PATH=/bin", "GREETING=hello you"],
+    "Entrypoint": ["/entry point"],
+    "Cmd": ["talk", "--fast"],
+    "User": "1000:1000",
+    "WorkingDir": "/srv",
+    "Volumes": {"/b": {}, "/a": {}},
+    "StopSignal": "SIGINT",
+    "Healthcheck": {"Test": ["CMD", "check", "a b"], "Interval": 5_000_000_000, "Retries": 2},
+}
+
+
+def archive(
+    tag: str, *, architecture: str = "amd64", config: dict[str, Any] | None = None, size: int = 100
+) -> bytes:
+    """A one-layer image, as ``docker load`` takes it."""
+
+    def member(into: tarfile.TarFile, name: str, data: bytes) -> None:
+        entry = tarfile.TarInfo(name)
+        entry.size = len(data)
+        into.addfile(entry, io.BytesIO(data))
+
+    layer, whole = io.BytesIO(), io.BytesIO()
+    with tarfile.open(fileobj=layer, mode="w") as inner:
+        member(inner, "data", uuid.uuid4().bytes * (size // 16 + 1))
+    digest = hashlib.sha256(layer.getvalue()).hexdigest()
+    described = {
+        "architecture": architecture,
+        "os": "linux",
+        "config": config or {},
+        "rootfs": {"type": "layers", "diff_ids": [f"sha256:{digest}"]},
+        "history": [{"created_by": "a test"}],
+    }
+    with tarfile.open(fileobj=whole, mode="w") as outer:
+        member(outer, "config.json", json.dumps(described).encode())
+        member(outer, "layer.tar", layer.getvalue())
+        manifest = [{"Config": "config.json", "RepoTags": [tag], "Layers": ["layer.tar"]}]
+        member(outer, "manifest.json", json.dumps(manifest).encode())
+    return whole.getvalue()
+
+
+class Shelf:
+    """Loads images into the engine of this computer under one throw-away name, and removes them."""
+
+    def __init__(self) -> None:
+        self.name = f"fleet-test-{uuid.uuid4().hex[:12]}"
+
+    def load(
+        self, tag: str, *, architecture: str = "amd64", config: dict[str, Any] | None = None, size: int = 100
+    ) -> None:
+        data = archive(f"{self.name}:{tag}", architecture=architecture, config=config, size=size)
+        subprocess.run(("docker", "load", "--quiet"), input=data, check=True, capture_output=True)
+
+    def inspect(self, tag: str, template: str = "{{.Id}}") -> str:
+        argv = ("docker", "image", "inspect", "--format", template, f"{self.name}:{tag}")
+        return subprocess.run(argv, check=True, capture_output=True, text=True).stdout
+
+    def tags(self) -> list[str]:
+        argv = ("docker", "image", "ls", "--format", "{{.Tag}}", self.name)
+        return sorted(subprocess.run(argv, check=True, capture_output=True, text=True).stdout.split())
+
+    def clear(self) -> None:
+        if names := [f"{self.name}:{tag}" for tag in self.tags()]:
+            subprocess.run(("docker", "image", "rm", "--force", *names), check=True, capture_output=True)
+
+
+@pytest.fixture
+def shelf() -> Iterator[Shelf]:
+    one = Shelf()
+    yield one
+    one.clear()
+
+
+@pytest.fixture
+def store() -> Iterator[Store]:
+    with Store() as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("config", [{}, CONFIG, {**CONFIG, "Healthcheck": {"Test": ["NONE"]}}])
+def test_robot_and_desktop_tell_an_images_identity_alike(
+    shelf: Shelf, store: Store, config: dict[str, Any]
+) -> None:
+    """The robot's engine prints it from a template, the desktop computes it: a difference would ship for ever."""
+    shelf.load("latest-amd64", config=config)
+    assert (
+        shelf.inspect("latest-amd64", facts.IDENTITY).strip()
+        == store.find(shelf.name, "linux/amd64").identity
+    )
+
+
+def test_the_build_for_the_platform_is_found_first(shelf: Shelf, store: Store) -> None:
+    """A name without a platform may hold anything; the tag for the platform holds what was built for it."""
+    shelf.load("latest", architecture="amd64")
+    shelf.load("latest-arm64", architecture="arm64")
+    found = store.find(shelf.name, "linux/arm64")
+    assert (found.reference, found.platform) == (f"{shelf.name}:latest-arm64", "linux/arm64")
+    assert found.size > 0
+    assert store.find(shelf.name, "linux/amd64").reference == shelf.name
+
+
+def test_a_32_bit_arm_image_is_taken_for_v7(shelf: Shelf, store: Store) -> None:
+    """Docker's classic store forgets the variant of many of them."""
+    shelf.load("latest-armv7", architecture="arm")
+    assert store.find(shelf.name, "linux/arm/v7").platform == "linux/arm/v7"
+
+
+def test_an_image_for_another_platform_is_refused(shelf: Shelf, store: Store) -> None:
+    """It would be sent, loaded, and end with ``exec format error`` on the robot."""
+    shelf.load("latest-arm64", architecture="amd64")
+    with pytest.raises(ImageError) as caught:
+        store.find(shelf.name, "linux/arm64")
+    assert caught.value.what == (
+        f"the image {shelf.name}:latest-arm64 was built for linux/amd64, and the robot runs linux/arm64"
+    )
+    assert caught.value.cure == "run `fab build`"
+
+
+def test_an_image_that_is_not_here_is_refused(shelf: Shelf, store: Store) -> None:
+    """Said with the name of the Compose file, not with the tag for the platform."""
+    with pytest.raises(ImageError) as caught:
+        store.find(f"{shelf.name}:7", "linux/arm64")
+    assert caught.value.what == f"there is no image {shelf.name}:7 for linux/arm64 here"
+
+
+def test_an_archive_flows_in_pieces_and_holds_the_image_under_its_new_name(
+    shelf: Shelf, store: Store
+) -> None:
+    """What is read here is what ``docker load`` makes the same image of, and no piece is larger than 1 MiB."""
+    shelf.load("latest-amd64", config=CONFIG, size=3 * CHUNK)
+    found = store.find(shelf.name, "linux/amd64")
+    pieces = list(store.archive(found.reference, found.shipped_as))
+    assert len(pieces) > 3
+    assert max(len(piece) for piece in pieces) <= CHUNK
+    shelf.clear()
+    subprocess.run(("docker", "load", "--quiet"), input=b"".join(pieces), check=True, capture_output=True)
+    assert shelf.tags() == [found.shipped_as.rpartition(":")[2]]
+    assert shelf.inspect(shelf.tags()[0], facts.IDENTITY).strip() == found.identity
+
+
+def test_an_image_that_goes_away_while_it_is_wanted_is_the_desktops_failure(
+    shelf: Shelf, store: Store
+) -> None:
+    """Somebody pruned between the plan and its step."""
+    with pytest.raises(
+        DesktopError, match=f"reading image {shelf.name}:fleet-1 from Docker failed: .*No such image"
+    ):
+        list(store.archive(f"{shelf.name}:gone", f"{shelf.name}:fleet-1"))
+
+
+def test_archives_that_are_left_half_read_do_not_keep_others_waiting(shelf: Shelf, store: Store) -> None:
+    """Robots that vanish in the middle give their turn back: only so many read from the engine at once."""
+    shelf.load("latest-amd64", size=3 * CHUNK)
+    for _ in range(10):
+        pieces = store.archive(f"{shelf.name}:latest-amd64", f"{shelf.name}:fleet-1")
+        assert next(pieces)
+        pieces.close()
+
+
+def test_only_so_many_archives_are_read_at_once(shelf: Shelf, store: Store) -> None:
+    """The engine stages each on this computer's disk first: the ninth begins when one has ended."""
+    shelf.load("latest-amd64", size=3 * CHUNK)
+
+    def begin() -> Generator[bytes]:
+        pieces = store.archive(f"{shelf.name}:latest-amd64", f"{shelf.name}:fleet-1")
+        next(pieces)
+        return pieces
+
+    reading = [begin() for _ in range(8)]
+    ninth = threading.Thread(target=lambda: begin().close())
+    ninth.start()
+    ninth.join(0.5)
+    assert ninth.is_alive()
+    reading.pop().close()
+    ninth.join(10)
+    assert not ninth.is_alive()
+    for pieces in reading:
+        pieces.close()
+
+
+@contextlib.contextmanager
+def failed_connection() -> Iterator[None]:
+    """The SDK forgets to close the socket of a connection that fails; nothing of ours can."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        yield
+        gc.collect()
+
+
+@pytest.mark.parametrize("address", ["unix:///nonexistent/docker.sock", "tcp://127.0.0.1:1", "nonsense"])
+def test_no_engine_on_this_computer_is_one_sentence(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever DOCKER_HOST says, and whichever library notices."""
+    monkeypatch.setenv("DOCKER_HOST", address)
+    with failed_connection(), pytest.raises(DesktopError, match="Docker on this computer does not answer: "):
+        Store()
+
+
+def test_the_engine_is_the_one_of_the_docker_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without DOCKER_HOST the current context counts, as for ``docker`` itself."""
+    monkeypatch.delenv("DOCKER_HOST", raising=False)
+    monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
+    subprocess.run(
+        ("docker", "context", "create", "away", "--docker", "host=unix:///nonexistent/away.sock"),
+        check=True,
+        capture_output=True,
+    )
+    subprocess.run(("docker", "context", "use", "away"), check=True, capture_output=True)
+    with failed_connection(), pytest.raises(DesktopError, match="does not answer"):
+        Store()
