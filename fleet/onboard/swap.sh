@@ -42,7 +42,7 @@ if ! flock -n 9; then
         exit "$busy"
     }
 fi
-say "$by, who runs \`fab $verb\` since $(date +%H:%M:%S)" >"$fleet/holder"
+say "$by, who runs fab $verb since $(date +%H:%M:%S)" >"$fleet/holder"
 
 # --- What is there
 

@@ -1,17 +1,18 @@
 #!/bin/sh
-# Unpack a release (a tar archive on standard input) into its directory, whole or not at all.
-# Usage: unpack_release.sh DIRECTORY
-# A directory that is right already stays: running containers have its files mounted, and would keep the removed ones.
+# Unpack a release (a tar archive on standard input) into its folder, whole or not at all, and safe from a power cut.
+# Usage: unpack_release.sh FOLDER
+# A folder that is right already stays: running containers have its files mounted, and would keep the removed ones.
+# A folder that is not right is moved aside and never written into: what is in it may be somebody's.
 set -e
+umask 022
 part=$1.$$.part
-rm -rf "$part"
 mkdir -p "$part"
-tar -x -f - -C "$part"
+tar -x -p -f - -C "$part"
 if diff -r "$1" "$part" >/dev/null 2>&1; then
     rm -rf "$part"
 else
-    rm -rf "$1"
-    mv "$part" "$1"
+    sync "$part"/* 2>/dev/null || sync
+    if [ -e "$1" ]; then mv -T "$1" "$1.replaced.$$.part"; fi
+    mv -T "$part" "$1"
 fi
-# Earlier runs that were cut off left theirs; one that is younger than an hour may be in use.
-find "${1%/*}" -maxdepth 1 -name '*.part' -mmin +60 -exec rm -rf {} +
+sync "${1%/*}" 2>/dev/null || sync

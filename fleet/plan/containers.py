@@ -1,4 +1,4 @@
-"""Which steps start, stop and restart what a robot has, and how are its logs read?"""
+"""Which steps start, stop, restart and remove what a robot has, and how are its logs read?"""
 
 from __future__ import annotations
 
@@ -7,75 +7,104 @@ from typing import TYPE_CHECKING, Literal
 from fleet.errors import NotReady
 from fleet.plan import compose_steps
 from fleet.plan.readiness import ready
-from fleet.plan.ship import HEALTHY_WITHIN
-from fleet.plan.step import Plan, Record, Step
+from fleet.plan.step import Plan, Step
+from fleet.robot import paths
 
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
-    from fleet.robot.facts import Facts
+    from fleet.plan.compose_steps import Request
+    from fleet.robot.facts import Facts, StackFacts
 
 Verb = Literal["start", "stop", "restart"]
 
 
-def plan(verb: Verb, *, robot: Robot, facts: Facts, by: str) -> Plan:
-    """The steps that start, stop or restart the current release.
+def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request) -> Plan:
+    """The steps that start, stop or restart the current release of a stack.
 
     Raises:
         NotReady: nothing was ever shipped to the robot, or its Docker cannot be used.
 
     """
-    release = _current(facts, robot=robot)
-    running = [container for container in facts.fleet.containers if container.state == "running"]
-    good = [container.healthy and container.release == release for container in facts.fleet.containers]
-    if verb == "start" and good and all(good):
+    there = _current(facts, robot=robot, stack=stack)
+    release = there.current
+    if verb == "start" and there.running:
         return Plan(robot=robot.name, summary=f"release {release} runs")
-    if verb == "stop" and not running:
+    if verb == "stop" and not any(one.state in ("running", "restarting") for one in there.containers):
         return Plan(robot=robot.name, summary=f"release {release} is stopped")
     return Plan(
         robot=robot.name,
         summary=f"{verb} release {release}",
-        steps=_steps(verb, robot, release),
-        explain=(compose_steps.last_words(robot, release),) if verb != "stop" else (),
-        record=Record(verb=verb, release=release, by=by),
+        steps=(compose_steps.swap(verb, stack, release, request=request),),
     )
 
 
-def logs(*, robot: Robot, facts: Facts, follow: bool, tail: str, since: str, service: str) -> tuple[str, ...]:
-    """The argv that prints the current release's logs: every service, or one.
+def remove(*, robot: Robot, stack: str, facts: Facts, by: str) -> Plan:
+    """The steps that take a stack off a robot; its data and its volumes stay.
+
+    Raises:
+        NotReady: its Docker cannot be used.
+
+    """
+    ready(facts, robot=robot)
+    there = facts.fleet.stacks.get(stack)
+    if there is None or not (there.releases or there.containers):
+        return Plan(robot=robot.name, summary=f"has no stack {stack}")
+    return Plan(robot=robot.name, summary=f"stack {stack} removed", steps=(compose_steps.remove(stack, by=by),))
+
+
+def delete_data(*, robot: Robot, stack: str, facts: Facts) -> Plan:
+    """The steps that delete what a stack's containers have written.
+
+    Raises:
+        NotReady: its containers are still there.
+
+    """
+    ready(facts, robot=robot)
+    there = facts.fleet.stacks.get(stack)
+    if there is None or there.data == 0:
+        return Plan(robot=robot.name, summary=f"has no data of stack {stack}")
+    if there.containers:
+        cure = f"`fab remove --stack {stack} --hosts {robot.name}` first"
+        raise NotReady(f"containers of stack {stack} still use its data", cure=cure)
+    root = ("sudo", "-n") if facts.login.sudo == "free" else ()
+    folder = f"{facts.login.home}/{paths.data(stack)}"
+    delivered = f"{facts.login.home}/{paths.stack(stack)}/delivered"
+    return Plan(
+        robot=robot.name,
+        summary=f"data of stack {stack} deleted",
+        steps=(
+            Step(title=f"delete {folder}", argv=(*root, "rm", "-rf", "--one-file-system", folder, delivered)),
+        ),
+    )
+
+
+def logs(
+    *, robot: Robot, stack: str, facts: Facts, follow: bool, tail: str, since: str, service: str
+) -> tuple[str, ...]:
+    """The argv that prints the logs of a stack's current release: every service, or one.
 
     Raises:
         NotReady: as for `plan`.
 
     """
-    release = _current(facts, robot=robot)
+    there = _current(facts, robot=robot, stack=stack)
     options = ["logs", "--no-color", "--tail", tail]
-    if len({container.service for container in facts.fleet.containers}) < 2 or service:
+    if len({container.service for container in there.containers}) < 2 or service:
         options += ["--no-log-prefix"]
     if since:
         options += ["--since", since]
     if follow:
         options += ["--follow"]
-    argv = compose_steps.compose(robot, release, *options, *((service,) if service else ()))
+    argv = compose_steps.compose(stack, there.current, *options, *((service,) if service else ()))
     return compose_steps.until_closed(argv) if follow else argv
 
 
-def _current(facts: Facts, *, robot: Robot) -> str:
+def _current(facts: Facts, *, robot: Robot, stack: str) -> StackFacts:
     ready(facts, robot=robot)
-    if facts.fleet.current not in facts.fleet.releases:
+    there = facts.fleet.stacks.get(stack)
+    if there is None or there.current not in there.releases:
+        if facts.fleet.legacy:
+            cure = f"`fab ship --hosts {robot.name}` takes them over"
+            raise NotReady("its releases are of an earlier version of fleet", cure=cure)
         raise NotReady("nothing has been shipped to it", cure=f"`fab ship --hosts {robot.name}`")
-    return facts.fleet.current
-
-
-def _steps(verb: Verb, robot: Robot, release: str) -> tuple[Step, ...]:
-    match verb:
-        case "start":
-            return (compose_steps.start(robot, release, wait=HEALTHY_WITHIN),)
-        case "stop":
-            return (compose_steps.stop(robot, release),)
-        case "restart":
-            again = Step(
-                title=f"restart release {release}",
-                argv=compose_steps.compose(robot, release, "restart"),
-                limit=90.0,
-            )
-            return (again, compose_steps.start(robot, release, wait=HEALTHY_WITHIN))
+    return there

@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from fleet.plan.step import Plan, Record, Step
-from fleet.robot import history, paths
+from fleet import onboard
+from fleet.plan.step import Plan, Step
+from fleet.robot import history
+from fleet.robot.facts import StackFacts
 from fleet.units import human_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from fleet.config.inventory import Robot
     from fleet.robot.facts import Facts
@@ -27,10 +29,13 @@ LEAST = 2
 
 _OURS = re.compile(r".+:fleet-[0-9a-f]{12}")
 
+YOUNG = 3600
+"""Seconds for which a release that was just written stays: another desktop may be about to start it."""
 
-def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
-    """The steps that leave a robot with its ``keep`` newest releases."""
-    steps = after(facts, keep=keep)
+
+def plan(*, robot: Robot, facts: Facts, stacks: Iterable[str], keep: int) -> Plan:
+    """The steps that leave each of a robot's ``stacks`` with its ``keep`` newest releases."""
+    steps = tuple(step for stack in stacks for step in after(facts, stack=stack, keep=keep))
     if not steps:
         return Plan(robot=robot.name, summary=f"nothing is older than its newest {max(keep, LEAST)} releases")
     return Plan(
@@ -38,7 +43,6 @@ def plan(*, robot: Robot, facts: Facts, keep: int, by: str) -> Plan:
         summary=" and ".join(step.title for step in steps),
         steps=steps,
         forecast=_frees(steps, facts),
-        record=Record(verb="prune", release=facts.fleet.current, by=by),
     )
 
 
@@ -48,47 +52,55 @@ def _frees(steps: Iterable[Step], facts: Facts) -> str:
     return f"frees {human_bytes(size)} at most: layers that other images share stay" if size else ""
 
 
-def after(facts: Facts, *, keep: int, shipped: str = "", images: Iterable[str] = ()) -> tuple[Step, ...]:
-    """The steps that remove old releases. ``shipped`` is a release that became current since the probe, with its ``images``."""
-    ranked = list(dict.fromkeys(filter(None, (shipped, facts.fleet.current, *_newest_first(facts)))))
-    stay = ranked[: max(keep, LEAST)]
-    gone = sorted(set(facts.fleet.releases) - set(stay))
-    pins = {**facts.fleet.image_store.pins, **({shipped: tuple(images)} if shipped else {})}
-    old: list[str] = []
-    if all(release in pins for release in stay if release in {*facts.fleet.releases, shipped}):
-        needed = {name for release in stay for name in pins.get(release, ())}
-        old = sorted(name for name in facts.fleet.images if _OURS.fullmatch(name) and name not in needed)
-    return (*_forget(gone), *_remove(old))
+def after(
+    facts: Facts, *, stack: str, keep: int, shipped: str = "", images: Iterable[str] = ()
+) -> tuple[Step, ...]:
+    """The step that removes a stack's old releases, and the images that no release of any stack needs.
 
-
-def _newest_first(facts: Facts) -> tuple[str, ...]:
-    """Releases that have run, newest first; then those that never ran, in no particular order."""
-    ran = [event.release for event in history.history(facts.fleet.history) if event.outcome == "done"]
-    return tuple(
-        release for release in (*reversed(ran), *facts.fleet.releases) if release in facts.fleet.releases
-    )
-
-
-def _forget(releases: list[str]) -> tuple[Step, ...]:
-    if not releases:
+    ``shipped`` is a release that became current since the probe, with its ``images``.
+    """
+    there = facts.fleet.stacks.get(stack, StackFacts())
+    ranked = list(dict.fromkeys(filter(None, (shipped, there.current, *_newest_first(there)))))
+    stay = {(stack, release) for release in ranked[: max(keep, LEAST)] if release in {*there.releases, shipped}}
+    stay |= {
+        (name, release)
+        for name, other in facts.fleet.stacks.items()
+        if name != stack
+        for release in other.releases
+    }
+    gone = sorted(set(there.releases) - {release for name, release in stay if name == stack})
+    old = _unneeded(stay, facts, new={(stack, shipped): tuple(images)} if shipped else {})
+    if not gone and not old:
         return ()
-    folders = (paths.folder(release) for release in releases)
-    return (Step(title=f"remove {_count(releases, 'release')}", argv=("rm", "-rf", *folders), harmless=True),)
-
-
-def _remove(images: list[str]) -> tuple[Step, ...]:
-    if not images:
-        return ()
-    receipts = (f"{paths.RECEIPTS}/{name.rpartition(':fleet-')[2]}" for name in images)
+    counts = (_count(gone, "release") if gone else "", _count(old, "image") if old else "")
     return (
         Step(
-            title=f"remove {_count(images, 'image')}",
-            argv=("docker", "image", "rm", *images),
-            limit=120.0,
+            title=f"remove {' and '.join(filter(None, counts))}",
+            argv=(
+                *("sh", "-c", onboard.text("remove_releases.sh"), "remove_releases"),
+                *(stack, str(YOUNG), *gone, "--", *old),
+            ),
+            limit=300.0,
             harmless=True,
         ),
-        Step(title="remove their receipts", argv=("rm", "-f", *receipts), harmless=True),
     )
+
+
+def _unneeded(
+    stay: Iterable[tuple[str, str]], facts: Facts, *, new: Mapping[tuple[str, str], tuple[str, ...]]
+) -> list[str]:
+    """The images that no release which stays runs; none if one of these does not say which it runs."""
+    pins = {**{tuple(key.split("/", 1)): names for key, names in facts.fleet.image_store.pins.items()}, **new}
+    if not all(release in pins for release in stay):
+        return []
+    needed = {name for release in stay for name in pins[release]}
+    return sorted(name for name in facts.fleet.images if _OURS.fullmatch(name) and name not in needed)
+
+
+def _newest_first(there: StackFacts) -> tuple[str, ...]:
+    """Releases that have run, newest first; then those that never ran, in no particular order."""
+    ran = [event.release for event in history.history(there.history) if event.outcome == "done"]
+    return tuple(release for release in (*reversed(ran), *there.releases) if release in there.releases)
 
 
 def _count(things: list[str], name: str) -> str:

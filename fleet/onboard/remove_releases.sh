@@ -1,0 +1,31 @@
+#!/bin/sh
+# Remove old releases and images that no release needs, unless another command has begun to use them meanwhile.
+# Usage: remove_releases.sh STACK KEEP_SECONDS RELEASE... -- IMAGE...
+# What the robot runs, what a command is about to start, and what is younger than KEEP_SECONDS stays.
+set -u
+stack=$1 keep=$2
+shift 2
+cd "$HOME/.fleet" || exit 1
+exec 9>>lock
+flock --wait 240 9 || {
+    echo "$(cat holder 2>/dev/null || echo 'another command') has not ended" >&2
+    exit 75
+}
+here=stacks/$stack
+current=$(readlink "$here/current" 2>/dev/null)
+while [ "$#" -gt 0 ] && [ "$1" != -- ]; do
+    folder=$here/releases/$1
+    old=releases/$1
+    young=$(find "$folder" -maxdepth 0 -newermt "-$keep seconds" 2>/dev/null)
+    if [ "releases/$1" != "$current" ] && [ -z "$young" ] && ! grep -qsw "$1" "$here/journal"; then
+        rm -rf "$folder"
+        if [ -L "$old" ]; then rm -f "$old"; fi
+    fi
+    shift
+done
+[ "$#" -eq 0 ] || shift
+for image in "$@"; do
+    if ! grep -rqsF "\"$image\"" stacks/*/releases/*/compose*.yaml; then
+        docker image rm "$image" && rm -f "receipts/${image##*:fleet-}"
+    fi
+done

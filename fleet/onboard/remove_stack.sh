@@ -1,0 +1,15 @@
+#!/bin/sh
+# Take a stack off the robot: its containers, networks and releases. Its data and its named volumes stay.
+# Usage: remove_stack.sh STACK BY
+set -eu
+stack=$1 by=$2
+cd "$HOME/.fleet/stacks/$stack"
+exec 9>>"$HOME/.fleet/lock"
+flock --wait 240 9
+echo "$by, who runs fab remove" >"$HOME/.fleet/holder"
+docker ps --all --quiet --filter "label=com.docker.compose.project=$stack" | xargs -r docker rm --force >/dev/null
+docker network ls --quiet --filter "label=com.docker.compose.project=$stack" | xargs -r docker network rm >/dev/null
+rm -f current journal
+rm -rf releases
+printf '%s\tremove\t-\t%s\tdone\n' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" >>history
+sync
