@@ -188,6 +188,17 @@ def sources(project: Project) -> tuple[Path, ...]:
     return (*project.files, *((override,) if override and not _files(project) else ()))
 
 
+def where(project: Project, location: Sequence[str | int]) -> str:
+    """``file:line`` of a key of the Compose files, or of the nearest thing around it."""
+    best, depth = str(project.files[0]), 0
+    for path in sources(project):
+        document = yamlfile.parse(yamlfile.text(path, error=ComposeError), path=path, error=ComposeError)[0]
+        known = len(document.written(location))
+        if known > depth:
+            best, depth = f"{_shown(path, project)}:{document.line(location)}", known
+    return best
+
+
 _LOGGED = re.compile(r'^time="[^"]*" level=(\w+) msg="((?:[^"\\]|\\.)*)"')
 
 
@@ -241,7 +252,10 @@ def _place(message: str, document: yamlfile.Document) -> str:
 
 
 _CURES = (
-    ("required variable", "set it under `environment:` of the robot in the inventory, or in the project's .env"),
+    (
+        "required variable",
+        "set it under `environment:` of the robot in the inventory, or in the project's .env",
+    ),
     ("no such key", "see docs.docker.com/reference/compose-file"),
     ("dditional propert", "see docs.docker.com/reference/compose-file"),
     ("no such file", "make the file, or correct its name"),

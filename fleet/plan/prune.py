@@ -61,7 +61,9 @@ def after(
     """
     there = facts.fleet.stacks.get(stack, StackFacts())
     ranked = list(dict.fromkeys(filter(None, (shipped, there.current, *_newest_first(there)))))
-    stay = {(stack, release) for release in ranked[: max(keep, LEAST)] if release in {*there.releases, shipped}}
+    stay = {
+        (stack, release) for release in ranked[: max(keep, LEAST)] if release in {*there.releases, shipped}
+    }
     stay |= {
         (name, release)
         for name, other in facts.fleet.stacks.items()

@@ -12,7 +12,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from fleet import terminal
-from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
+from fleet.diagnosis import explain as diagnosis
+from fleet.errors import CommandFailed, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 RETRY_FOR = 180.0
 """Seconds to try to get a lost link back, counted from the last byte that left."""
+
+NOTE = "note:"
+"""How a line begins that a script on a robot writes for the person who waits for it."""
 
 _PAUSES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 """Seconds between attempts to connect again; the last one for all that follow."""
@@ -65,8 +69,7 @@ def apply(
 ) -> Outcome:
     """Carry out one plan.
 
-    A step that can go on where it was is run again when the link comes back within ``patience`` seconds. One that fails
-    ends the plan: why is asked, what ran before is started again, and both are told.
+    A step that resumes is run again when the link comes back within ``patience`` seconds. One that fails ends the plan.
     """
     if not plan.steps:
         return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
@@ -79,7 +82,7 @@ def apply(
         try:
             work.persist(step)
         except RobotError as problem:
-            outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
+            outcome = _failed(plan, step, problem, line, touched=touched)
             return replace(outcome, sent=work.bytes)
     for step in _note(plan, outcome="done"):
         with contextlib.suppress(
@@ -169,15 +172,37 @@ class _Work:
     def _do(self, step: Step, *, quietly: bool) -> None:
         if not quietly:
             self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
+        if step.detached:
+            return self._attend(step)
         feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
             _do(step, self._line, feed=feed, tell=self._tell)
-            return
+            return None
         feed.tell = lambda text: self._watch.began(self._robot, text, None)
         try:
             _do(step, self._line, feed=feed, tell=self._tell, heard=feed.heard)
         finally:
             feed.close()
+
+    def _attend(self, step: Step) -> None:
+        """Wait for what goes on without us; its notes are for the person, and its errors are whole."""
+        rest = b""
+
+        def heard(data: bytes) -> None:
+            nonlocal rest
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                text = terminal.plain(line.decode(errors="replace"))
+                if text.startswith(NOTE):
+                    self._watch.told(self._robot, text.removeprefix(NOTE).strip())
+
+        result = self._line.session.run(step.argv, limit=step.limit, heard=heard)
+        if result.code:
+            # Compose writes control sequences into logs even where no terminal reads them.
+            text = terminal.plain(result.errors).strip() or f"it ended with code {result.code}"
+            raise CommandFailed(
+                text, cure=diagnosis.explain(text)[1] or step.cure, code=result.code, output=text
+            )
 
     def _open(self, feed: Feed) -> Iterable[bytes]:
         return (feed.data,) if isinstance(feed, Bytes) else self._open_feed(feed)
@@ -208,46 +233,27 @@ def _do(
         raise NotAsPlanned(f"the proof fails: it says {last[0][:200]!r}", cure=step.cure)
 
 
-def _failed(
-    plan: Plan, step: Step, problem: RobotError, line: Link, *, watch: Progress, touched: bool
-) -> Outcome:
-    reason, cure = _aftermath(plan, problem, line, watch=watch, touched=touched)
+def _failed(plan: Plan, step: Step, problem: RobotError, line: Link, *, touched: bool) -> Outcome:
+    """The outcome of a plan that ended early; the failure is noted on the robot if that can still be reached."""
+    cure = problem.cure
+    if isinstance(problem, LinkLost | TimedOut | Unreachable):
+        line.afresh()
+    if isinstance(problem, LinkLost | Unreachable):
+        goes_on = "the robot goes on by itself: `fab status` shows the result"
+        again = "run the same command again when the robot is back"
+        cure = cure or (goes_on if step.detached else again)
+    else:
+        for note in _note(plan, outcome=f"failed: {problem.what}"):
+            _ask(note, line)
     unusable = isinstance(problem, NotAsPlanned) or getattr(problem, "code", 0) == UNUSABLE
     return Outcome(
         robot=plan.robot,
         status="failed",
         step=step.title,
-        reason=reason,
+        reason=problem.what,
         cure=cure,
         unusable=unusable and not touched,
     )
-
-
-def _aftermath(
-    plan: Plan, problem: RobotError, line: Link, *, watch: Progress, touched: bool
-) -> tuple[str, str]:
-    """Ask why, start what ran before (where that was ``touched``), note the failure.
-
-    Returns the reason, with all that was learned, and the cure.
-    """
-    reason = problem.what
-    if isinstance(problem, LinkLost | TimedOut | Unreachable):
-        line.afresh()
-    if isinstance(problem, LinkLost | Unreachable):
-        return reason, problem.cure or "run the same command again when the robot is back"
-    for step in plan.explain if touched else ():
-        if said := _ask(step, line):
-            reason += "\n" + said
-    for step in plan.recover if touched else ():
-        watch.began(plan.robot, step.title, None)
-        try:
-            _do(step, line)
-            reason += f"\n(went back: {step.title})"
-        except RobotError as second:
-            reason += f"\nand then `{step.title}` failed: {second.what}"
-    for step in _note(plan, outcome=f"failed: {problem.what}"):
-        _ask(step, line)
-    return reason, problem.cure
 
 
 def _ask(step: Step, line: Link) -> str:
