@@ -1,6 +1,6 @@
-"""Which images does a stack need, and how are they made for the robots' platforms?
+"""Which images does a stack need, and how are they built for the robots' platforms?
 
-Images are built with BuildKit by the docker command line, so that the person's builder, cache and credentials count,
+Images are built with BuildKit by the docker command line, so that the user's builder, cache and credentials are used,
 one platform at a time and tagged for it (`fleet.images.image.tagged_for`). A service without ``build:`` is pulled.
 """
 
@@ -31,7 +31,7 @@ _DEBIAN = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """One command on this computer, what it makes (``reference`` for ``platform``), and the bases it needs first."""
+    """One command on this computer. It makes ``reference`` for ``platform``, and needs ``bases`` first."""
 
     title: str
     argv: tuple[str, ...]
@@ -61,7 +61,7 @@ def plan(*, stack: Stack, platforms: Iterable[str], client: Sequence[str]) -> tu
 
 
 def run(command: Command, *, say: Callable[[str], None]) -> None:
-    """Run one of them, its bases first; what it says goes to standard error as it comes.
+    """Run a command, its bases first. Its output goes to standard error.
 
     Raises:
         DesktopError: it failed.
