@@ -55,7 +55,7 @@ class Base:
 
     @property
     def architecture(self) -> str:
-        """dpkg's name of the platform. Raises ``UsageError`` for an unknown platform."""
+        """The platform's name in dpkg. Raises ``UsageError`` for an unknown platform."""
         if self.platform not in DEBIAN_ARCHITECTURES:
             raise UsageError(
                 f"there is no Debian base for platform {self.platform}",
