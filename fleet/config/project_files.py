@@ -222,7 +222,7 @@ class _Collector:
 
 def _file(path: Path, *, secret: bool) -> File:
     if path.is_symlink():
-        return File(link=os.readlink(path), mode=0o777)
+        return File(link=str(path.readlink()), mode=0o777)
     executable = path.stat().st_mode & 0o100
     mode = 0o755 if executable else 0o644
     return File(data=path.read_bytes(), mode=mode & 0o700 if secret else mode)
