@@ -245,8 +245,8 @@ def _place(message: str, document: yamlfile.Document) -> str:
     lines = document.source.splitlines()
     for found in _QUOTED.finditer(message):
         name = PurePosixPath(found[1] or found[2]).name
-        for number, line in enumerate(lines, start=1):
-            if name and name in line.partition(" #")[0]:
+        for number, text in enumerate(lines, start=1):
+            if name and name in text.partition(" #")[0]:
                 return f"{document.path}:{number}"
     return ""
 

@@ -96,7 +96,7 @@ def run(command: Command, *, on_note: Callable[[str], None]) -> None:
         debian_base.ensure(base.suite, base.platform, say=on_note)
     on_note(command.title)
     feed = {"input": command.feed.encode()} if command.feed else {"stdin": subprocess.DEVNULL}
-    code = subprocess.run(command.argv, stdout=2, check=False, **feed).returncode  # type: ignore[call-overload]
+    code = subprocess.run(command.argv, stdout=2, check=False, **feed).returncode
     if code:
         raise DesktopError(
             f"{command.title} failed with code {code}", cure="the reason is in the lines above"

@@ -44,6 +44,8 @@ def lines(plan: Plan) -> list[str]:
         text += [f"  {number}. {step.title}", _command(step)]
     if plan.forecast and plan.steps:
         text.insert(1, f"  {plan.forecast}")
+    for step in (*plan.explain, *plan.recover):
+        text += [f"  if a step fails: {step.title}", _command(step)]
     for step in plan.afterwards:
         text += [f"  when all is well: {step.title}", _command(step)]
     if plan.record and plan.steps:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from fleet import terminal
-from fleet.diagnosis import explain as diagnosis
+from fleet.diagnosis.explain import explain
 from fleet.errors import CommandFailed, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
@@ -35,6 +35,9 @@ RETRY_FOR = 180.0
 
 NOTE = "note:"
 """How a line begins that a script on a robot writes for the person who waits for it."""
+
+GOES_ON = "the robot goes on by itself: `fab status` shows the result"
+AGAIN = "run the same command again when the robot is back"
 
 _PAUSES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 """Seconds between attempts to connect again; the last one for all that follow."""
@@ -69,7 +72,8 @@ def apply(
 ) -> Outcome:
     """Carry out one plan.
 
-    A step that resumes is run again when the link comes back within ``patience`` seconds. One that fails ends the plan.
+    A step that can go on where it was is run again when the link comes back within ``patience`` seconds. One that fails
+    ends the plan: why is asked, what ran before is started again, and both are told.
     """
     if not plan.steps:
         return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
@@ -82,7 +86,7 @@ def apply(
         try:
             work.persist(step)
         except RobotError as problem:
-            outcome = _failed(plan, step, problem, line, touched=touched)
+            outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
             return replace(outcome, sent=work.bytes)
     for step in _note(plan, outcome="done"):
         with contextlib.suppress(
@@ -136,6 +140,23 @@ class _RetryTimer:
         self._line.closed.wait(min(left, next(self._pauses, _PAUSES[-1])))
 
 
+class _Notes:
+    """The lines of a script's output that are for the person who waits for it."""
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._rest = b""
+
+    def hear(self, data: bytes) -> None:
+        """Take a piece of output; of a line without an end, the first 4 kB."""
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[:4096]
+        for line in lines:
+            text = terminal.plain(line.decode(errors="replace"))
+            if text.startswith(NOTE):
+                self._show(text.removeprefix(NOTE).strip())
+
+
 class _Work:
     """One plan being carried out: what all of its steps need, and how many bytes they have sent."""
 
@@ -185,24 +206,13 @@ class _Work:
             feed.close()
 
     def _attend(self, step: Step) -> None:
-        """Wait for what goes on without us; its notes are for the person, and its errors are whole."""
-        rest = b""
-
-        def heard(data: bytes) -> None:
-            nonlocal rest
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                text = terminal.plain(line.decode(errors="replace"))
-                if text.startswith(NOTE):
-                    self._watch.told(self._robot, text.removeprefix(NOTE).strip())
-
-        result = self._line.session.run(step.argv, limit=step.limit, heard=heard)
+        """Wait for what goes on without this computer. Its notes are shown as they come; its errors are kept whole."""
+        notes = _Notes(lambda text: self._watch.told(self._robot, text))
+        result = self._line.session.run(step.argv, limit=step.limit, heard=notes.hear)
         if result.code:
             # Compose writes control sequences into logs even where no terminal reads them.
             text = terminal.plain(result.errors).strip() or f"it ended with code {result.code}"
-            raise CommandFailed(
-                text, cure=diagnosis.explain(text)[1] or step.cure, code=result.code, output=text
-            )
+            raise CommandFailed(text, cure=explain(text)[1] or step.cure, code=result.code, output=text)
 
     def _open(self, feed: Feed) -> Iterable[bytes]:
         return (feed.data,) if isinstance(feed, Bytes) else self._open_feed(feed)
@@ -233,27 +243,46 @@ def _do(
         raise NotAsPlanned(f"the proof fails: it says {last[0][:200]!r}", cure=step.cure)
 
 
-def _failed(plan: Plan, step: Step, problem: RobotError, line: Link, *, touched: bool) -> Outcome:
-    """The outcome of a plan that ended early; the failure is noted on the robot if that can still be reached."""
-    cure = problem.cure
-    if isinstance(problem, LinkLost | TimedOut | Unreachable):
-        line.afresh()
-    if isinstance(problem, LinkLost | Unreachable):
-        goes_on = "the robot goes on by itself: `fab status` shows the result"
-        again = "run the same command again when the robot is back"
-        cure = cure or (goes_on if step.detached else again)
-    else:
-        for note in _note(plan, outcome=f"failed: {problem.what}"):
-            _ask(note, line)
+def _failed(
+    plan: Plan, step: Step, problem: RobotError, line: Link, *, watch: Progress, touched: bool
+) -> Outcome:
+    reason, cure = _aftermath(plan, step, problem, line, watch=watch, touched=touched)
     unusable = isinstance(problem, NotAsPlanned) or getattr(problem, "code", 0) == UNUSABLE
     return Outcome(
         robot=plan.robot,
         status="failed",
         step=step.title,
-        reason=problem.what,
+        reason=reason,
         cure=cure,
         unusable=unusable and not touched,
     )
+
+
+def _aftermath(
+    plan: Plan, step: Step, problem: RobotError, line: Link, *, watch: Progress, touched: bool
+) -> tuple[str, str]:
+    """Ask why, start what ran before (where that was ``touched``), note the failure.
+
+    Returns the reason, with all that was learned, and the cure.
+    """
+    reason = problem.what
+    if isinstance(problem, LinkLost | TimedOut | Unreachable):
+        line.afresh()
+    if isinstance(problem, LinkLost | Unreachable):
+        return reason, problem.cure or (GOES_ON if step.detached else AGAIN)
+    for asked in plan.explain if touched else ():
+        if said := _ask(asked, line):
+            reason += "\n" + said
+    for undoing in plan.recover if touched else ():
+        watch.began(plan.robot, undoing.title, None)
+        try:
+            _do(undoing, line)
+            reason += f"\n(went back: {undoing.title})"
+        except RobotError as second:
+            reason += f"\nand then `{undoing.title}` failed: {second.what}"
+    for note in _note(plan, outcome=f"failed: {problem.what}"):
+        _ask(note, line)
+    return reason, problem.cure
 
 
 def _ask(step: Step, line: Link) -> str:
