@@ -77,6 +77,16 @@ class Screen:
         """One line of what is going on."""
         self.err.print(_text(text))
 
+    def warnings(self, by_robot: Mapping[str, Sequence[str]]) -> None:
+        """Warnings of Compose about robots' stacks, each once, with the robots that it is about."""
+        about: dict[str, list[str]] = {}
+        for name, texts in by_robot.items():
+            for text in texts:
+                about.setdefault(text, []).append(name)
+        for text, names in about.items():
+            who = ", ".join(names) if len(names) < 5 else f"{len(names)} robots"
+            self.say(f"{who}: {text}")
+
     def lines(self, lines: Iterable[str]) -> None:
         """Lines of result, exactly."""
         for line in lines:

@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+import secrets
 import time
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from fleet.cli import whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
+from fleet.cli.stacks import Stacks, images_of, stacks_there
 from fleet.cli.verb import verb
-from fleet.config import stack as stack_module
+from fleet.errors import UsageError
 from fleet.images import build as builds
-from fleet.images import store as image
 from fleet.images.docker_cli import buildkit_client
+from fleet.images.store import Store
 from fleet.plan import containers, readiness
 from fleet.plan import prune as prune_old
-from fleet.plan import ship as ship_module
-from fleet.provision import docker_script, steps
-from fleet.robot import release as release_module
+from fleet.plan import ship as shipping
+from fleet.plan.compose_steps import Request
+from fleet.provision import docker_script
+from fleet.provision import steps as provisioning
 from fleet.rollout import trust as trusting
 from fleet.transfer.delivery import STRATEGIES
 from fleet.transfer.rate_limit import RateLimiter, bytes_per_second
 from fleet.transfer.sender import Sender
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fleet.cli.stacks import RobotStack
+    from fleet.config.compose import Project
     from fleet.config.inventory import Robot
+    from fleet.plan.compose_steps import Conflict
     from fleet.plan.step import Plan
     from fleet.robot.facts import Facts
     from fleet.transfer.delivery import Strategy
@@ -68,38 +78,53 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
     fleet, robots = select(inventory, hosts)
     scripts = docker_script.Scripts(base=fleet.path.parent)
 
-    def make(robot: Robot, facts: Facts) -> Plan:
-        text = scripts.fetch(robot.docker) if steps.needs_script(facts) else b""
-        return steps.plan(robot=robot, facts=facts, script=text, now=time.time(), by=whoami())
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
+        text = scripts.fetch(robot.docker) if provisioning.needs_script(facts) else b""
+        return [provisioning.plan(robot=robot, facts=facts, script=text, now=time.time(), by=whoami())]
 
     return execute(robots, make, dry=dry, json=json, screen=Screen())
 
 
 @verb()
-def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> None:
-    """Build the stack's images for the robots' platforms.
+def build(
+    hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "", stack: str = ""
+) -> None:
+    """Build the stacks' images for the robots' platforms.
 
-    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled.
+    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled. What `build:` says
+    in the Compose file becomes the flags of `docker build`.
     """
-    fleet, robots = select(inventory, hosts)
-    screen, stack = Screen(), stack_module.read_stack(fleet.stack)
-    platforms = tuple(dict.fromkeys(robot.platform for robot in robots))
-    commands = builds.plan(stack=stack, platforms=platforms, client=buildkit_client())
-    if dry:
-        screen.json(commands) if json else screen.lines(builds.lines(commands))
-        return
-    for command in commands:
-        builds.run(command, say=screen.say)
-    with image.Store() as store:
-        found = [store.find(name, platform) for platform in platforms for name in stack.images.values()]
-    screen.images(found, json=json)
+    robots, screen = select(inventory, hosts)[1], Screen()
+    client = buildkit_client()
+
+    def variables(project: Project, robot: Robot) -> dict[str, str]:
+        return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
+
+    with Stacks(variables=variables) as stacks:
+        wanted = [(robot, one) for robot in robots for one in stacks.of(robots, only=stack)[robot.name]]
+        commands: list[builds.Command] = []
+        for robot, one in wanted:
+            needs = builds.bases(one.project, robot.platform).values()
+            made = builds.plan(one.stack, one.project, platform=robot.platform, client=client, needs=needs)
+            commands += [command for command in made if command not in commands]
+        if dry:
+            screen.json(commands) if json else screen.lines(builds.lines(commands))
+            return
+        for command in commands:
+            builds.run(command, on_note=screen.say)
+        with Store() as store:
+            found = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
+        screen.images(list({image.reference: image for image in found}.values()), json=json)
 
 
 @verb(
     {
         "limit": "the most all robots together may be sent: 8Mbit, or 1MB, per second",
-        "retry_for": "seconds to try to get a lost link back; default: 180",
+        "retry_for": "seconds to retry a lost connection; default: 180",
         "keep": "releases that stay on a robot; default: 3",
+        "wait": "seconds that containers may take to become healthy; default: 180, and the longest start_period",
+        "prefer": "whose version of a file wins that robot and desktop have both changed: robot or desktop",
+        "renamed": "the robots were renamed in the inventory: go on though they were shipped under another name",
     }
 )
 def ship(
@@ -107,35 +132,58 @@ def ship(
     limit: str = "",
     retry_for: int = 180,
     keep: int = prune_old.KEEP,
+    wait: int = 0,
+    prefer: str = "robot",
+    renamed: bool = False,
     dry: bool = False,
     json: bool = False,
     inventory: str = "",
+    stack: str = "",
 ) -> int:
     """Send what is missing of the images, and start them.
 
-    Waits until every container is healthy; where one does not start, the release before it runs again. What a lost link
-    cut off is gone on with. A second run changes nothing.
+    Each robot swaps the containers by itself and watches them; if they do not run, it goes back to the release before.
+    If the connection drops, the transfer resumes where it stopped. A second run changes nothing.
     """
-    fleet, robots = select(inventory, hosts)
-    stack = stack_module.read_stack(fleet.stack)
-    pace = RateLimiter(bytes_per_second(limit))
-    with image.Store() as store, Sender.using(store, pace=pace, by=whoami()) as sender:
-        composed = {
-            robot: release_module.compose(robot=robot, stack=stack, find=store.find) for robot in robots
+    robots, screen = select(inventory, hosts)[1], Screen()
+    whose.once(robots)
+    limiter, run = RateLimiter(bytes_per_second(limit)), secrets.token_hex(8)
+    conflict = _conflict(prefer)
+    machines = whose.Machines()
+    with Stacks() as stacks, Store() as store, Sender.using(store, pace=limiter, by=whoami()) as sender:
+        found = stacks.of(robots, only=stack)
+        screen.warnings(
+            {name: [text for one in ones for text in one.warnings] for name, ones in found.items()}
+        )
+        releases = {
+            robot.name: [
+                (one, stacks.release(robot, one, images=images_of(one, robot, store)))
+                for one in found[robot.name]
+            ]
+            for robot in robots
         }
 
-        def make(robot: Robot, facts: Facts, *, way: Strategy) -> Plan:
+        def make(robot: Robot, facts: Facts, *, way: Strategy) -> list[Plan]:
             readiness.ready(facts, robot=robot)
-            release = composed[robot]
-            missing = ship_module.missing(release, facts)
-            delivery = sender.deliver(missing, robot=robot, facts=facts, way=way)
-            return ship_module.plan(
-                robot=robot, release=release, facts=facts, delivery=delivery, by=whoami(), keep=keep
-            )
+            machines.claim(robot, facts, renamed=renamed)
+            plans = []
+            for one, release in releases[robot.name]:
+                whose.same_stack(one, facts, robot=robot)
+                missing = shipping.missing(release, facts)
+                plan = shipping.plan(
+                    robot=robot,
+                    release=release,
+                    facts=facts,
+                    delivery=sender.deliver(missing, robot=robot, facts=facts, way=way),
+                    request=_request(one, run=run, wait=wait, conflict=conflict),
+                    keep=keep,
+                )
+                plans.append(plan)
+            return _named(plans, [one.stack.name for one, _ in releases[robot.name]])
 
         ladder = [partial(make, way=way) for way in STRATEGIES]
-        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
-        return run(dry=dry, json=json, screen=Screen())
+        go = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
+        return go(dry=dry, json=json, screen=screen)
 
 
 @verb({"keep": "releases that stay on a robot; default: 3"})
@@ -145,66 +193,153 @@ def prune(
     dry: bool = False,
     json: bool = False,
     inventory: str = "",
+    stack: str = "",
 ) -> int:
     """Remove old releases and their images.
 
-    Only those that fleet made; the current release and the one before it always stay.
+    Only those that fleet made; the current release and the one before it always stay, and so does what the robots'
+    containers have written.
     """
 
-    def make(robot: Robot, facts: Facts) -> Plan:
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
         readiness.ready(facts, robot=robot)
-        return prune_old.plan(robot=robot, facts=facts, keep=keep, by=whoami())
+        names = [name for name in facts.fleet.stacks if stack in ("", name)]
+        return [prune_old.plan(robot=robot, facts=facts, stacks=names, keep=keep)]
 
     return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen(), images=True)
 
 
 @verb({"to": "the release to go back to; default: the one that ran before"})
 def rollback(
-    hosts: str = "all", to: str = "", dry: bool = False, json: bool = False, inventory: str = ""
+    hosts: str = "all",
+    to: str = "",
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+    stack: str = "",
 ) -> int:
     """Go back to the release that ran before.
 
-    Or, with --to, to another one that the robot still has: `fab history` lists them.
+    Or, with --to, to another one that the robot still has: `fab history` lists them. Data of the robot stays as it is.
     """
+    run = secrets.token_hex(8)
 
-    def make(robot: Robot, facts: Facts) -> Plan:
-        return ship_module.rollback(robot=robot, facts=facts, to=to, by=whoami())
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
+        readiness.ready(facts, robot=robot)
+        names = stacks_there(facts, only=stack, alone=bool(to))
+        plans = [
+            shipping.rollback(robot=robot, stack=name, facts=facts, to=to, request=_plain(run))
+            for name in names
+        ]
+        return _named(plans, names)
 
     return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen())
 
 
 @verb()
-def start(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+def start(
+    hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "", stack: str = ""
+) -> int:
     """Start the current release.
 
     Waits until it is healthy.
     """
-    return _contain("start", hosts=hosts, dry=dry, json=json, inventory=inventory)
+    return _contain("start", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 
 
 @verb()
-def stop(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+def stop(
+    hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "", stack: str = ""
+) -> int:
     """Stop the current release.
 
     It stays stopped over a reboot, until `fab start` or the next `fab ship`.
     """
-    return _contain("stop", hosts=hosts, dry=dry, json=json, inventory=inventory)
+    return _contain("stop", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 
 
 @verb()
-def restart(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
+def restart(
+    hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "", stack: str = ""
+) -> int:
     """Restart the current release.
 
     Waits until it is healthy.
     """
-    return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory)
+    return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 
 
-VERBS = (trust, provision, build, ship, rollback, prune, start, stop, restart)
+@verb({"stack": "the stack to take off, by its name", "data": "delete its data too", "yes": "do not ask"})
+def remove(
+    stack: str = "",
+    hosts: str = "all",
+    data: bool = False,
+    yes: bool = False,
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+) -> int:
+    """Take a stack off robots: its containers, networks and releases.
+
+    What its containers have written stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
+    deleted too, after a question: nothing brings it back.
+    """
+    if not stack:
+        raise UsageError("which stack?", cure="fab remove --stack NAME; `fab status` shows the names")
+    robots, screen = select(inventory, hosts)[1], Screen()
+    question = f"Delete what stack {stack} has written on {', '.join(robot.name for robot in robots)}?"
+    if data and not dry and not yes and not screen.confirm(question):
+        raise UsageError("nothing was removed", cure="say --yes to delete without a question")
+
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
+        removing = containers.remove(robot=robot, stack=stack, facts=facts, by=whoami())
+        return [removing]
+
+    def delete(robot: Robot, facts: Facts) -> list[Plan]:
+        return [containers.delete_data(robot=robot, stack=stack, facts=facts)]
+
+    code = execute(robots, make, dry=dry, json=json, screen=screen)
+    if not data or (code and not dry):
+        return code
+    return execute(robots, delete, dry=dry, json=json, screen=screen)
 
 
-def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, inventory: str) -> int:
-    def make(robot: Robot, facts: Facts) -> Plan:
-        return containers.plan(verb, robot=robot, facts=facts, by=whoami())
+VERBS = (trust, provision, build, ship, rollback, prune, start, stop, restart, remove)
+
+
+def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, inventory: str, stack: str) -> int:
+    run = secrets.token_hex(8)
+
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
+        readiness.ready(facts, robot=robot)
+        names = stacks_there(facts, only=stack)
+        plans = [
+            containers.plan(verb, robot=robot, stack=name, facts=facts, request=_plain(run)) for name in names
+        ]
+        return _named(plans, names)
 
     return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen())
+
+
+def _plain(run: str) -> Request:
+    return Request(by=whoami(), run=run)
+
+
+def _request(one: RobotStack, *, run: str, wait: int, conflict: Conflict) -> Request:
+    usual = one.spec.wait or shipping.HEALTHY_WITHIN + round(one.stack.start_period)
+    return Request(by=whoami(), run=run, wait=wait or usual, settle=one.spec.settle, conflict=conflict)
+
+
+def _conflict(word: str) -> Conflict:
+    match word:
+        case "robot" | "desktop":
+            return word
+        case _:
+            raise UsageError(f"--prefer takes robot or desktop, not {word}")
+
+
+def _named(plans: list[Plan], names: Sequence[str]) -> list[Plan]:
+    """The plans of a robot with several stacks say which stack each is about."""
+    if len(plans) < 2:
+        return plans
+    return [replace(plan, stack=name) for plan, name in zip(plans, names, strict=True)]

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from fleet.errors import FleetError, LinkLost
-from fleet.plan.outcome import Outcome, exit_code
+from fleet.plan.outcome import Outcome, exit_code, together
 from fleet.rollout.apply import RETRY_FOR, apply, look
 from fleet.rollout.pool import each
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fleet.rollout.link import Link
     from fleet.rollout.progress import Progress
 
-    Planner = Callable[[Robot, Facts], Plan]
+    Planner = Callable[[Robot, Facts], Sequence[Plan]]
     Opener = Callable[[Feed], Iterable[bytes]]
 
 
@@ -42,24 +42,34 @@ def execute(
     Where the robot cannot use what was sent, it is looked at again, and the next planner of ``ladder`` has its turn. With
     ``images``, planners are told what robots hold of images; for ``retry_for`` see `fleet.rollout.apply.apply`.
     """
-    plans: dict[str, Plan] = {}
+    plans: dict[str, Sequence[Plan]] = {}
 
     with screen.progress() as progress:
 
         def attempt(link: Link, make: Planner) -> Outcome:
             progress.step_started(link.robot.name, "look at the robot", None)
             facts = look(link, images=images, progress=progress, retry_for=retry_for)
-            plan = plans[link.robot.name] = make(link.robot, facts)
-            if dry:
-                return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-            return apply(plan, link, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for)
+            made = plans[link.robot.name] = make(link.robot, facts)
+            outcomes: list[tuple[str, Outcome]] = []
+            for plan in made:
+                outcome = (
+                    Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
+                    if dry
+                    else apply(
+                        plan, link, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for
+                    )
+                )
+                outcomes.append((plan.stack, outcome))
+                if outcome.unusable:
+                    break  # the next planner begins with what is left
+            return together(link.robot.name, outcomes)
 
         outcomes = each(
             robots, partial(_climb, ladder=ladder, attempt=attempt, progress=progress), progress=progress
         )
     if not dry:
         return screen.result(outcomes, json=json)
-    made = [plans[robot.name] for robot in robots if robot.name in plans]
+    made = [plan for robot in robots for plan in plans.get(robot.name, ())]
     return show_plans(made, outcomes, json=json, screen=screen)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import shlex
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from fleet.cli import status as states
 from fleet.cli.console import Screen
 from fleet.cli.execute import keep_observing, observe
 from fleet.cli.selection import select
+from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.plan import containers
@@ -46,10 +48,12 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
     if json:
         screen.json({name: states.record(what) for name, what in seen.items()})
     elif watch:
-        with screen.live(states.COLUMNS, lambda: [states.row(name, what) for name, what in seen.items()]):
+        with screen.live(
+            states.COLUMNS, lambda: [row for name, what in seen.items() for row in states.rows(name, what)]
+        ):
             keep_observing(robots, seen, every=2.0, progress=NoProgress())
     else:
-        screen.table(states.COLUMNS, [states.row(name, what) for name, what in seen.items()])
+        screen.table(states.COLUMNS, [row for name, what in seen.items() for row in states.rows(name, what)])
     return 0 if watch or all(states.good(what) for what in seen.values()) else 1
 
 
@@ -57,16 +61,22 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
 def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: str = "") -> int:
     """Show who shipped what, when, and its outcome.
 
-    Each robot keeps its own, in ~/.fleet/history.
+    Each robot keeps its own, in ~/.fleet/stacks/NAME/history.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     seen = observe(robots, progress=NoProgress())
     events = {name: states.events(what)[-tail:] if tail else () for name, what in seen.items()}
     if json:
-        screen.json(events)
+        screen.json(
+            {
+                name: [{"stack": stack, **asdict(event)} for stack, event in found]
+                for name, found in events.items()
+            }
+        )
     else:
         screen.table(
-            states.EVENT_COLUMNS, [states.event_row(name, e) for name in events for e in events[name]]
+            states.EVENT_COLUMNS,
+            [states.event_row(name, stack, event) for name in events for stack, event in events[name]],
         )
     return screen.problems(states.problems(seen))
 
@@ -87,6 +97,7 @@ def logs(
     since: str = "",
     service: str = "",
     inventory: str = "",
+    stack: str = "",
 ) -> int:
     """Show what the robots' containers print.
 
@@ -96,8 +107,9 @@ def logs(
     printer = screen.prefixed([robot.name for robot in robots])
 
     def argv(robot: Robot, facts: Facts) -> tuple[str, ...]:
+        (name,) = stacks_there(facts, only=stack, alone=True)
         return containers.logs(
-            robot=robot, facts=facts, follow=follow, tail=tail, since=since, service=service
+            robot=robot, stack=name, facts=facts, follow=follow, tail=tail, since=since, service=service
         )
 
     return screen.problems(stream.logs(robots, argv, follow=follow, printer=printer, progress=NoProgress()))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 from fleet.config import compose, project_files, stack
 from fleet.config.project_files import File, ProjectFiles
-from fleet.errors import InventoryError, UsageError
+from fleet.errors import InventoryError, NotReady, UsageError
 from fleet.robot import release
 from fleet.ros import environment as ros
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from fleet.config.inventory import Robot, StackFiles
     from fleet.config.stack import Stack
     from fleet.images.image import Image
+    from fleet.images.store import Store
+    from fleet.robot.facts import Facts
     from fleet.robot.release import Release
 
 AT_ONCE = 2 * (os.cpu_count() or 1)
@@ -144,3 +146,26 @@ def _given(path: Path) -> File:
         raise InventoryError(
             f"cannot read {path}: {problem.strerror}", cure="see `files:` in the inventory"
         ) from problem
+
+
+def stacks_there(facts: Facts, *, only: str, alone: bool = False) -> list[str]:
+    """The stacks that a robot has, or ``only`` the one with that name; ``alone``: it must be one.
+
+    Raises:
+        NotReady: the robot does not have it.
+
+    """
+    names = [name for name, one in facts.fleet.stacks.items() if one.releases or one.containers]
+    if only and only not in names:
+        raise NotReady(f"it has no stack {only}", cure=f"it has: {', '.join(names) or 'none'}")
+    if alone and not only and len(names) > 1:
+        raise NotReady("it has several stacks", cure=f"say which with --stack: {', '.join(names)}")
+    return [only] if only else names or [""]
+
+
+def images_of(one: RobotStack, robot: Robot, store: Store) -> dict[str, Image]:
+    """The local image of each service of a stack, for a robot."""
+    return {
+        service.name: store.find(service.image, service.platform or robot.platform)
+        for service in one.stack.services.values()
+    }

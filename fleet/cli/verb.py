@@ -28,6 +28,7 @@ HELP = {
     "hosts": "robots, groups and wildcards, comma separated; default: all",
     "dry": "show what would be done, and change nothing",
     "json": "print the result as JSON",
+    "stack": "only this stack, by its Compose project name; default: all of the robots' stacks",
     "inventory": "the inventory file; default: $FLEET_INVENTORY, or the nearest inventory.yaml",
 }
 

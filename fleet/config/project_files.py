@@ -36,6 +36,9 @@ LIMIT = 100_000_000
 IGNORE = ".fleetignore"
 """Names what of a mounted folder stays here, in the syntax of ``.gitignore``."""
 
+GIVEN = PurePosixPath("files")
+"""Where the files of the inventory (``files:``) are in the project's folder."""
+
 UP = "_up"
 """Stands for ``..`` in paths on the robot, of files that the inventory allows from outside the project's folder."""
 
@@ -56,10 +59,11 @@ class File:
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectFiles:
-    """What travels, by its path below the project's folder on the robot; ``secrets`` are among ``files``."""
+    """What travels, by its path below the project's folder on the robot; ``empty`` are folders without a file."""
 
     files: Mapping[str, File] = field(default_factory=dict)
     seeds: Mapping[str, File] = field(default_factory=dict)
+    empty: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()
     data: frozenset[str] = frozenset()
 
@@ -96,6 +100,7 @@ def collect(
         raise ComposeError("\n".join(dict.fromkeys(collector.problems)))
     return ProjectFiles(
         files=collector.files,
+        empty=tuple(sorted(collector.empty)),
         seeds=collector.seeds,
         folders=tuple(sorted(collector.folders)),
         data=frozenset(on_robot(path) for path in data),
@@ -113,6 +118,7 @@ class _Collector:
         self.files: dict[str, File] = {}
         self.seeds: dict[str, File] = {}
         self.folders: set[str] = set()
+        self.empty: set[str] = set()
         self.problems: list[str] = []
         self._project = project
         self._allowed = allowed
@@ -148,6 +154,8 @@ class _Collector:
     def _missing(self, mount: Mount) -> None:
         if mount.kind != "bind":
             self._problem(mount, "is not there", "make the file, or correct its name")
+        elif mount.path == GIVEN and mount.path not in self._data:
+            self.empty.add(on_robot(mount.path))  # the inventory has no files for this robot
         elif mount.path not in self._data:
             self._problem(
                 mount,

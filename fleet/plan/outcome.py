@@ -46,19 +46,23 @@ def failure(robot: str, problem: FleetError) -> Outcome:
     return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
 
 
-def together(outcomes: Sequence[tuple[str, Outcome]]) -> Outcome:
-    """What became of a robot with several stacks: each is told with its name; the worst decides."""
+def together(robot: str, outcomes: Sequence[tuple[str, Outcome]]) -> Outcome:
+    """What became of a robot with several stacks, each with its name: the first that failed decides."""
+    if not outcomes:
+        return Outcome(robot=robot, status="unchanged", summary="has no stack")
     if len(outcomes) == 1:
         return outcomes[0][1]
-    worst = next((one for _, one in outcomes if not one.good), None)
-    summary = "; ".join(f"{stack}: {one.summary}" for stack, one in outcomes if one.good)
-    transfer = "; ".join(f"{stack}: {one.transfer}" for stack, one in outcomes if one.transfer)
-    whole = {"summary": summary, "sent": sum(one.sent for _, one in outcomes), "transfer": transfer}
-    if worst:
-        name = next(stack for stack, one in outcomes if one is worst)
-        return replace(worst, step=f"{name}: {worst.step}" if worst.step else name, **whole)  # type: ignore[arg-type]
+    failed = next((pair for pair in outcomes if not pair[1].good), None)
     done = any(one.status == "done" for _, one in outcomes)
-    return replace(outcomes[0][1], status="done" if done else "unchanged", **whole)  # type: ignore[arg-type]
+    whole = replace(
+        failed[1] if failed else outcomes[0][1],
+        summary="; ".join(f"{stack}: {one.summary}" for stack, one in outcomes if one.good),
+        sent=sum(one.sent for _, one in outcomes),
+        transfer="; ".join(f"{stack}: {one.transfer}" for stack, one in outcomes if one.transfer),
+    )
+    if failed:
+        return replace(whole, step=": ".join(filter(None, (failed[0], whole.step))))
+    return replace(whole, status="done" if done else "unchanged")
 
 
 def exit_code(outcomes: tuple[Outcome, ...]) -> int:

@@ -36,7 +36,7 @@ class Release:
     """One robot's release. ``id`` is derived from all the rest: the same content is the same release, anywhere.
 
     ``compose`` is the text of its Compose file, in which `fleet.config.compose.HOME` stands for the login's home.
-    ``folders`` are those of the robot's data that must exist, ``seeds`` the files that it starts with.
+    ``empty`` are folders of the project without a file, ``folders`` those of the robot's data that must exist, ``seeds`` the files that it starts with.
     """
 
     id: str
@@ -48,6 +48,7 @@ class Release:
     project: Mapping[str, File] = field(default_factory=dict)
     seeds: Mapping[str, File] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
     def files(self, home: str) -> dict[str, File]:
         """The files of the release's folder, for a login whose home directory is ``home``."""
@@ -75,7 +76,7 @@ class Release:
         buffer = io.BytesIO()
         files = self.files(home)
         with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-            for folder in _folders(files):
+            for folder in sorted({*_folders(files), *(f"project/{name}" for name in self.empty)}):
                 entry = tarfile.TarInfo(folder)
                 entry.type, entry.mode = tarfile.DIRTYPE, 0o755
                 archive.addfile(entry)
@@ -126,6 +127,7 @@ def compose(
         project=ours,
         seeds=files.seeds,
         folders=files.folders,
+        empty=files.empty,
     )
 
 

@@ -95,7 +95,7 @@ class Session:
         """
         bounded = argv if limit is None else ("timeout", "-k", "5", f"{limit:.10g}", *argv)
         started = time.monotonic()
-        with contextlib.closing(self._start(shlex.join(bounded))) as channel:
+        with contextlib.closing(self._start(f"cd; {shlex.join(bounded)}")) as channel:
             pump = ChannelPump(channel=channel, transport=self._chain[-1], link_timeout=self._link_timeout)
             try:
                 code = pump.run(feed=feed, limit=limit, on_sent=on_sent, on_output=on_output)
