@@ -163,8 +163,8 @@ data_folders() {
 
 # --- Watching
 
-# id, service, state, exit code, restarts, health, restart policy
-template='{{.Id}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}} {{.HostConfig.RestartPolicy.Name}} '
+# id, service, state, exit code, restarts, health. (With `.Id` Docker takes another way, on which a missing Health is an error.)
+template='{{.ID}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}}'
 states() { ours --quiet | xargs -r docker inspect --format "$template" 2>/dev/null; }
 
 # One line: `ok`, `wait WHY` or `bad WHY`. A container that was there before may have restarted in an earlier life.
