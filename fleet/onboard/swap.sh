@@ -231,7 +231,7 @@ run() { # RELEASE
         watch
         return
     fi
-    why=$(printf '%s\n' "$output" | sed -n '/[^ ]/p' | tail -n 12)
+    why=$(printf '%s\n' "$output" | sed -n '/^[^ ]/p' | tail -n 12) # its progress is indented
     [ "$code" != 124 ] || why="Compose did not end within $limit s: $(printf '%s\n' "$output" | tail -n 1)"
     [ -n "$why" ] || why='Compose could not start it'
     return 1
