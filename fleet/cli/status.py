@@ -2,58 +2,68 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from fleet.errors import FleetError
 from fleet.plan.outcome import failure
 from fleet.robot.history import Event, history
-from fleet.units import human_bytes
+from fleet.units import human_bytes, human_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from fleet.plan.outcome import Outcome
-    from fleet.robot.facts import Container, Facts
+    from fleet.robot.facts import Container, Facts, StackFacts
 
-EVENT_COLUMNS = ("robot", "when (UTC)", "what", "release", "by", "outcome")
-COLUMNS = ("robot", "reachable", "release", "containers", "docker", "disk free", "temp")
+EVENT_COLUMNS = ("robot", "stack", "when (UTC)", "what", "release", "by", "outcome")
+COLUMNS = ("robot", "reachable", "stack", "release", "containers", "data", "docker", "disk free", "temp")
 
 Cell = tuple[str, str]
 """A text and the style it is shown in."""
 
 
-def row(name: str, seen: Facts | FleetError) -> Sequence[Cell]:
-    """The cells of one robot, as in `COLUMNS`."""
+def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
+    """The rows of one robot, as in `COLUMNS`: one for each stack."""
+    nothing = ("", "")
     if isinstance(seen, FleetError):
-        return (
-            (name, "bold"),
-            ("no", "bold red"),
-            ("", ""),
-            (seen.what, "red"),
-            ("", ""),
-            ("", ""),
-            ("", ""),
-        )
-    return (
-        (name, "bold"),
-        ("yes", "green"),
-        (seen.fleet.current or "none", "" if seen.fleet.current else "dim"),
-        _containers(seen),
+        return [
+            ((name, "bold"), ("no", "bold red"), nothing, nothing, (seen.what, "red"), *[nothing] * 4),
+        ]
+    host = (
         (seen.docker.version, "") if seen.docker.state == "ready" else (seen.docker.state, "red"),
         _disk(seen),
         _temperature(seen.host.temperature),
     )
+    stacks = [
+        (
+            (stack, ""),
+            (there.current or "none", "" if there.current else "dim"),
+            _containers(there, seen.host.clock),
+            _data(there),
+        )
+        for stack, there in seen.fleet.stacks.items()
+    ]
+    empty = (nothing, ("none", "dim"), ("none", "dim"), nothing)
+    first, *others = stacks or [empty]
+    return [
+        ((name, "bold"), ("yes", "green"), *first, *host),
+        *(((name, "dim"), nothing, *other, *[nothing] * 3) for other in others),
+    ]
 
 
 def good(seen: Facts | FleetError) -> bool:
     """Whether the robot answers and all it was sent runs well."""
     if isinstance(seen, FleetError):
         return False
-    return all(c.healthy and c.release == seen.fleet.current for c in seen.fleet.containers) and (
-        bool(seen.fleet.containers) or not seen.fleet.current
-    )
+    return all(_good(there, seen.host.clock) for there in seen.fleet.stacks.values())
+
+
+def _good(there: StackFacts, now: float) -> bool:
+    """Whether a stack runs its current release, or was taken off; a container that ends again and again is not well."""
+    if not there.current and not there.containers:
+        return True
+    return there.running and not there.journal and not any(one.looping(now) for one in there.containers)
 
 
 def record(seen: Facts | FleetError) -> dict[str, Any]:
@@ -66,17 +76,21 @@ def record(seen: Facts | FleetError) -> dict[str, Any]:
     return {"reachable": True, "healthy": good(seen), **facts}
 
 
-def events(seen: Facts | FleetError) -> tuple[Event, ...]:
-    """A robot's history, oldest first."""
-    return () if isinstance(seen, FleetError) else history(seen.fleet.history)
+def events(seen: Facts | FleetError) -> tuple[tuple[str, Event], ...]:
+    """A robot's history, oldest first, each event with the name of its stack."""
+    if isinstance(seen, FleetError):
+        return ()
+    found = [(stack, event) for stack, there in seen.fleet.stacks.items() for event in history(there.history)]
+    return tuple(sorted(found, key=lambda pair: pair[1].when))
 
 
-def event_row(name: str, event: Event) -> Sequence[Cell]:
+def event_row(name: str, stack: str, event: Event) -> Sequence[Cell]:
     """The cells of one event, as in `EVENT_COLUMNS`."""
     when = event.when.replace("T", " ").rstrip("Z")
     style = "green" if event.outcome == "done" else "red"
     return (
         (name, "bold"),
+        (stack, ""),
         (when, ""),
         (event.verb, ""),
         (event.release, ""),
@@ -90,24 +104,38 @@ def problems(seen: Mapping[str, Facts | FleetError]) -> tuple[Outcome, ...]:
     return tuple(failure(name, what) for name, what in seen.items() if isinstance(what, FleetError))
 
 
-def _containers(facts: Facts) -> Cell:
-    if not facts.fleet.containers:
-        return ("none", "red" if facts.fleet.current else "dim")
-    text = ", ".join(_container(container, facts.fleet.current) for container in facts.fleet.containers)
-    return (text, "green" if good(facts) else "red")
+def _containers(there: StackFacts, now: float) -> Cell:
+    missing = [name for name in there.services if name not in {one.service for one in there.containers}]
+    texts = [_container(one, there.current, now) for one in there.containers]
+    texts += [f"{name} has no container" for name in missing]
+    if there.journal:
+        texts.append(f"a swap is under way ({' '.join(there.journal.split()[:3])})")
+    if not texts:
+        return ("none", "red" if there.current else "dim")
+    return (", ".join(texts), "green" if _good(there, now) else "red")
 
 
-def _container(container: Container, current: str) -> str:
-    """``talker healthy 3 minutes``: Docker's own sentence without its filling, and the release if it is another."""
-    health = re.search(r"\((?:health: )?(\w+)\)", container.status)
-    since = re.sub(r"^Up |\s*\([^)]*\)|About ", "", container.status)
-    state = health[1] if health else container.state
-    other = f" of release {container.release}" if container.release != current else ""
-    return (
-        f"{container.service} {state} {since}{other}".strip()
-        if container.state == "running"
-        else (f"{container.service} {container.status}{other}")
-    )
+def _container(one: Container, current: str, now: float) -> str:
+    """``talker healthy 3 min``: its state, for how long, how often it was restarted, and the release if it is another."""
+    age = human_seconds(max(0.0, now - one.since)) if one.since else ""
+    if one.completed:
+        words = [one.service, "completed", f"{age} ago" if age else ""]
+    elif one.state in ("exited", "dead"):
+        words = [one.service, f"exited with code {one.code}", f"{age} ago" if age else ""]
+    else:
+        words = [one.service, one.health or one.state, age]
+    if one.restarts:
+        words.append(f"(restarted {one.restarts} times)" if one.restarts > 1 else "(restarted once)")
+    if one.release != current:
+        words.append(f"of release {one.release}")
+    return " ".join(filter(None, words))
+
+
+def _data(there: StackFacts) -> Cell:
+    """The size of what its containers have written."""
+    if there.data is None:
+        return ("large", "")
+    return (human_bytes(there.data) if there.data else "", "")
 
 
 def _disk(facts: Facts) -> Cell:

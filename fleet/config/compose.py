@@ -223,6 +223,17 @@ def sources(project: Project) -> tuple[Path, ...]:
     return (*project.files, *((override,) if override and not _files(project) else ()))
 
 
+def where(project: Project, location: Sequence[str | int]) -> str:
+    """``file:line`` of a key of the Compose files, or of the nearest thing around it."""
+    best, depth = str(project.files[0]), 0
+    for path in sources(project):
+        document = yamlfile.parse(yamlfile.text(path, error=ComposeError), path=path, error=ComposeError)[0]
+        known, line = _nearest(document, tuple(map(str, location)))
+        if known > depth:
+            best, depth = f"{_shown(path, project)}:{line}", known
+    return best
+
+
 _LOGGED = re.compile(r'^time="[^"]*" level=(\w+) msg="((?:[^"\\]|\\.)*)"')
 
 

@@ -142,7 +142,9 @@ class StackValues(Frozen):
 
 _Stack = Annotated[StackValues, BeforeValidator(_stack, json_schema_input_type=StackValues | Text)]
 Stacks = Annotated[
-    list[_Stack], Field(min_length=1), BeforeValidator(_stacks, json_schema_input_type=list[_Stack] | StackValues | Text)
+    list[_Stack],
+    Field(min_length=1),
+    BeforeValidator(_stacks, json_schema_input_type=list[_Stack] | StackValues | Text),
 ]
 
 
@@ -168,7 +170,8 @@ class Values(Frozen):
         default=None, description="Variables for the stack: `${NAME}` in its Compose file."
     )
     pass_environment: list[Annotated[str, Field(pattern=validation.VARIABLE)]] | None = Field(
-        default=None, description="Variables for the stack whose values are those of your shell: tokens, for example."
+        default=None,
+        description="Variables for the stack whose values are those of your shell: tokens, for example.",
     )
     stack: Stacks | None = Field(
         default=None, description="The stack, or the stacks, in place of the one of the whole inventory."

@@ -204,7 +204,8 @@ class _File:
         said = {
             k: v
             for k, v in values.items()
-            if v is not None or k not in {"ros", "docker", "environment", "files", "stack", "pass_environment"}
+            if v is not None
+            or k not in {"ros", "docker", "environment", "files", "stack", "pass_environment"}
         }
         if "stack" in said:
             said["stack"] = self._stacks(said["stack"])

@@ -70,10 +70,17 @@ def on_robot(path: PurePosixPath) -> str:
     return "/".join(UP if part == ".." else part for part in path.parts) or "."
 
 
-def collect(stack: Stack, project: Project, *, allowed: Iterable[Path] = ()) -> ProjectFiles:
+def collect(
+    stack: Stack,
+    project: Project,
+    *,
+    allowed: Iterable[Path] = (),
+    given: Mapping[str, File] | None = None,
+) -> ProjectFiles:
     """Read what a stack mounts from its project.
 
-    ``allowed`` are the folders outside the project's folder whose files may travel.
+    ``allowed`` are the folders outside the project's folder whose files may travel. ``given`` are files that the
+    inventory adds to the project, by their path in it.
 
     Raises:
         ComposeError: a path leaves the project, is missing, cannot be read, or is too large; all of them at once.
@@ -82,9 +89,11 @@ def collect(stack: Stack, project: Project, *, allowed: Iterable[Path] = ()) -> 
     writable = {mount.path for mount in stack.mounts if not mount.read_only}
     data = {mount.path for mount in stack.mounts if any(_shares(mount.path, other) for other in writable)}
     collector = _Collector(project, allowed=tuple(path.resolve() for path in allowed), data=data)
+    collector.files |= given or {}
     # Secrets first: a path that is mounted as something else too stays for the login only.
     for mount in sorted(stack.mounts, key=lambda mount: mount.kind != "secret"):
-        collector.add(mount)
+        if not any(PurePosixPath(name).is_relative_to(mount.path) for name in given or {}):
+            collector.add(mount)
     if collector.problems:
         raise ComposeError("\n".join(dict.fromkeys(collector.problems)))
     return ProjectFiles(
@@ -154,7 +163,9 @@ class _Collector:
             )
         elif mount.path.suffix and PurePosixPath(mount.target).suffix:
             self._problem(
-                mount, "is not there, and looks like a file", "make the file; for a folder of the robot, `mkdir` it here"
+                mount,
+                "is not there, and looks like a file",
+                "make the file; for a folder of the robot, `mkdir` it here",
             )
         else:
             self.folders.add(on_robot(mount.path))
@@ -171,7 +182,9 @@ class _Collector:
                     break
                 into[f"{name}/{below}".removeprefix("./")] = _file(path, secret=False)
         elif not stat.S_ISREG(here.stat().st_mode):
-            self._problem(mount, "is neither a file nor a folder", "name it by its absolute path if it is the robot's")
+            self._problem(
+                mount, "is neither a file nor a folder", "name it by its absolute path if it is the robot's"
+            )
             return
         else:
             size = self._size(here)

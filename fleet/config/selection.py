@@ -21,14 +21,14 @@ def is_wildcard(name: str) -> bool:
 
 
 def matching(pattern: str, names: Iterable[str]) -> tuple[str, ...]:
-    """Those of ``names`` that ``pattern``, a name or a wildcard, means; in their order."""
+    """The ``names`` that match ``pattern``, which is a name or a wildcard; in their order."""
     if is_wildcard(pattern):
         return tuple(name for name in names if fnmatchcase(name, pattern))
     return tuple(name for name in names if name == pattern)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``did you mean 'x'?`` for the nearest of ``known``, or nothing where none is near. Case does not count."""
+    """``did you mean 'x'?`` for the nearest of ``known``, "" if none is near. Case is ignored."""
     lowered = {other.lower(): other for other in known}
     nearest = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
     return f"did you mean '{lowered[nearest[0]]}'?" if nearest else ""

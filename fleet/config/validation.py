@@ -22,8 +22,17 @@ def _whole(pattern: str) -> str:
     return rf"^(?:{pattern})$(?!\n)"
 
 
+RESERVED: Mapping[str, str] = {
+    "ROS_MASTER_URI": "set it as `ros: {master: ...}`",
+    "ROS_HOSTNAME": "set it as `ros: {hostname: ...}`; without it the robot's address is used",
+    "ROS_IP": "set it as `ros: {ip: ...}`",
+    "ROS_NAMESPACE": "set it as `ros: {namespace: ...}`",
+    "COMPOSE_PROJECT_NAME": "set it as `name:` in the stack's Compose file",
+}
+"""Variables that fleet sets itself, and where the inventory has their values."""
+
 _PORT = r"(?:6553[0-5]|655[0-2]\d|65[0-4]\d{2}|6[0-4]\d{3}|[1-5]\d{4}|[1-9]\d{0,3})"
-_RESERVED = r"(?:ROS_MASTER_URI|ROS_HOSTNAME|ROS_IP|ROS_NAMESPACE|COMPOSE_PROJECT_NAME)"
+_RESERVED = f"(?:{'|'.join(RESERVED)})"
 
 TEXT = r"\S"
 NAME = _whole(r"(?!all$)[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -63,14 +72,6 @@ _MUST: Mapping[str, str] = {
     FILE: "must be a plain relative path: it stays below files/ on the robot (no '/' first or last, no '.' or '..')",
 }
 
-_ELSEWHERE: Mapping[str, str] = {
-    "ROS_MASTER_URI": "set it as `ros: {master: ...}`",
-    "ROS_HOSTNAME": "set it as `ros: {hostname: ...}`; without it the robot's address is used",
-    "ROS_IP": "set it as `ros: {ip: ...}`",
-    "ROS_NAMESPACE": "set it as `ros: {namespace: ...}`",
-    "COMPOSE_PROJECT_NAME": "set it as `name:` in the stack's Compose file",
-}
-
 _NUMBERS: Mapping[str, str] = {
     "settle": "must be a whole number of seconds, 0 to 3600",
     "wait": "must be a whole number of seconds, 1 to 86400",
@@ -98,8 +99,8 @@ def not_like(pattern: str, value: str) -> str:
     """The message for text that does not match ``pattern``, one of this module's."""
     if pattern == NAME and value == "all":
         return "'all' always means every robot; values for every robot go under `defaults`"
-    if pattern == VARIABLE and value in _ELSEWHERE:
-        return f"fleet sets this variable itself; {_ELSEWHERE[value]}"
+    if pattern == VARIABLE and value in RESERVED:
+        return f"fleet sets this variable itself; {RESERVED[value]}"
     if pattern == VARIABLE and value.startswith("FLEET_"):
         return "names that begin with FLEET_ are fleet's own; choose another"
     return _MUST[pattern]

@@ -61,7 +61,7 @@ class Document:
                 break
             if step in entry.inside or isinstance(step, str):
                 steps.append(step)
-        return steps
+        return tuple(steps)
 
     def texts(self, location: Location) -> tuple[str | None, ...]:
         """The items of the list at ``location`` as written; empty where there is no list."""

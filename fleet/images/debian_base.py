@@ -1,6 +1,6 @@
-"""Where does a Debian base image come from? A registry, or mmdebstrap where there is none.
+"""Where does a Debian base image come from? From a registry; without one, from mmdebstrap.
 
-Either way it ends as a local image named ``fleet-debian:<suite>-<architecture>``, made for the platform it says.
+The result is a local image named ``fleet-debian:<suite>-<architecture>``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MIRROR = "http://deb.debian.org"
-REGISTRY_ANSWERS_IN = 8.0  # seconds; a registry that is there names the image within one or two
+REGISTRY_ANSWERS_IN = 8.0  # seconds; a reachable registry describes the image within one or two
 NEWEST_FILE = (
     "1735689600"  # 2025-01-01: what the build itself writes is dated so, for the same bytes every time
 )
 PULL_TAKES = 600.0  # seconds, for 30 MB over a slow line
 BOOTSTRAP_TAKES = 1800.0  # seconds, for 100 MB over a slow line and emulated unpacking
 
-# What a container never reads; the same choice as Debian's own slim images.
+# Files that a container never reads; Debian's own slim images leave out the same ones.
 _LEFT_OUT = tuple(
     f"--dpkgopt={rule}"
     for rule in (
@@ -55,7 +55,7 @@ class Base:
 
     @property
     def architecture(self) -> str:
-        """What dpkg calls the platform. Raises ``UsageError`` for one that Debian packages are not used for here."""
+        """The platform's name in dpkg. Raises ``UsageError`` for an unknown platform."""
         if self.platform not in DEBIAN_ARCHITECTURES:
             raise UsageError(
                 f"there is no Debian base for platform {self.platform}",
@@ -72,7 +72,7 @@ class Base:
 def ensure(suite: str, platform: str, *, say: Callable[[str], None]) -> str:
     """Make sure the base image is here, and return the name to use after ``FROM``.
 
-    Raises ``DesktopError`` when neither a registry nor mmdebstrap can give one.
+    Raises ``DesktopError`` if neither a registry nor mmdebstrap can provide it.
     """
     base = Base(suite=suite, platform=platform)
     if _recorded_platform(base.tag) == platform:
@@ -90,7 +90,7 @@ def ensure(suite: str, platform: str, *, say: Callable[[str], None]) -> str:
 
 
 def cached_rootfs(base: Base) -> Path:
-    """Where the packed root file system is kept between clones; a changed recipe gets another name."""
+    """The path of the cached root file system, shared by all clones. A changed recipe gets another name."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet"
     parts = (*_bootstrap_command(base, Path("-")), NEWEST_FILE)
     recipe = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:8]
@@ -98,7 +98,7 @@ def cached_rootfs(base: Base) -> Path:
 
 
 def bootstrap(base: Base, rootfs: Path) -> None:
-    """Build the root file system with mmdebstrap: all of it, or nothing. Raises ``DesktopError``."""
+    """Build the root file system with mmdebstrap, whole or not at all. Raises ``DesktopError``."""
     if not runs(base.platform):
         raise DesktopError(
             f"this computer cannot run {base.platform} programs, which building {base.tag} needs",

@@ -1,7 +1,7 @@
-"""Which ``docker`` client does this desktop have, and what did it answer?
+"""Which ``docker`` client does this desktop have, and how is it run?
 
-The lab and the builds are made with the docker command line, because it honours the person's contexts, ``DOCKER_HOST``
-and credentials. Questions about local images go through the SDK, in ``image``.
+The lab and the builds are made with the docker command line, because it honours the user's contexts, ``DOCKER_HOST``
+and credentials. Questions about local images go through the SDK, in `fleet.images.store`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fleet.errors import DesktopError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# What Docker says when it cannot be used at all, and what cures it.
+# Docker's errors when it cannot be used at all, each with its cure.
 _CURES = (
     ("permission denied", "let this login use Docker: sudo usermod -aG docker $USER, then log in again"),
     (
@@ -32,7 +32,7 @@ _CURES = (
 def docker(*arguments: str, stdin: IO[bytes] | int = subprocess.DEVNULL, timeout: float = 120.0) -> str:
     """Run one docker command and return its standard output, stripped; ``timeout`` in seconds.
 
-    Raises ``DesktopError`` when Docker is missing, cannot be used, takes too long or says no.
+    Raises ``DesktopError`` if Docker is missing, cannot be used, takes too long or fails.
     """
     try:
         done = subprocess.run(
@@ -64,7 +64,7 @@ def refusal(command: str, output: bytes) -> DesktopError:
     said = output.decode(errors="replace").strip()
     cure = next((cure for sign, cure in _CURES if sign in said.lower()), "")
     last = " ".join(said.splitlines()[-3:])
-    return DesktopError(f"docker {command} failed: {last or 'it said nothing'}".rstrip("."), cure=cure)
+    return DesktopError(f"docker {command} failed: {last or 'it gave no reason'}".rstrip("."), cure=cure)
 
 
 def buildkit_client() -> tuple[str, ...]:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from fleet import onboard
-from fleet.plan.step import Bytes, Step
+from fleet.plan.step import Bytes, Record, Step
+from fleet.robot.history import Event
 from fleet.robot.paths import folder
 
 if TYPE_CHECKING:
@@ -104,7 +105,18 @@ _WORDS: dict[Verb, str] = {
 def remove(stack: str, *, by: str) -> Step:
     """Take a stack off the robot, but for its data and its volumes."""
     return Step(
-        title=f"remove stack {stack}", argv=_script("remove_stack.sh", stack, by), limit=TURN + 120.0, resumes=True
+        title=f"remove stack {stack}",
+        argv=_script("remove_stack.sh", stack, by),
+        limit=TURN + 120.0,
+        resumes=True,
+    )
+
+
+def note(record: Record, *, when: str, outcome: str) -> Step:
+    """Append one line to the history of the robot as a whole; ``when`` is in ISO 8601."""
+    line = Event(when=when, verb=record.verb, release=record.release, by=record.by, outcome=outcome)
+    return Step(
+        title="note it in the history", argv=_script("note_history.sh", str(line)), limit=20.0, resumes=True
     )
 
 

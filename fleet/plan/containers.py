@@ -49,7 +49,9 @@ def remove(*, robot: Robot, stack: str, facts: Facts, by: str) -> Plan:
     there = facts.fleet.stacks.get(stack)
     if there is None or not (there.releases or there.containers):
         return Plan(robot=robot.name, summary=f"has no stack {stack}")
-    return Plan(robot=robot.name, summary=f"stack {stack} removed", steps=(compose_steps.remove(stack, by=by),))
+    return Plan(
+        robot=robot.name, summary=f"stack {stack} removed", steps=(compose_steps.remove(stack, by=by),)
+    )
 
 
 def delete_data(*, robot: Robot, stack: str, facts: Facts) -> Plan:

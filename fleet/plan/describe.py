@@ -38,9 +38,8 @@ def details(outcome: Outcome) -> list[str]:
 def lines(plan: Plan) -> list[str]:
     """The plan as the text that ``--dry`` prints: a heading, then each command as one could type it on the robot."""
     sends = f", sends {human_bytes(plan.size)}" if plan.size else ""
-    text = [
-        f"{plan.robot}: {plan.summary}{sends}" if plan.steps else f"{plan.robot}: unchanged, {plan.summary}"
-    ]
+    name = f"{plan.robot}: {plan.stack}" if plan.stack else plan.robot
+    text = [f"{name}: {plan.summary}{sends}" if plan.steps else f"{name}: unchanged, {plan.summary}"]
     for number, step in enumerate(plan.steps, start=1):
         text += [f"  {number}. {step.title}", _command(step)]
     if plan.forecast and plan.steps:

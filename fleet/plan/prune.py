@@ -61,7 +61,9 @@ def after(
     """
     there = facts.fleet.stacks.get(stack, StackFacts())
     ranked = list(dict.fromkeys(filter(None, (shipped, there.current, *_newest_first(there)))))
-    stay = {(stack, release) for release in ranked[: max(keep, LEAST)] if release in {*there.releases, shipped}}
+    stay = {
+        (stack, release) for release in ranked[: max(keep, LEAST)] if release in {*there.releases, shipped}
+    }
     stay |= {
         (name, release)
         for name, other in facts.fleet.stacks.items()
@@ -90,10 +92,11 @@ def _unneeded(
     stay: Iterable[tuple[str, str]], facts: Facts, *, new: Mapping[tuple[str, str], tuple[str, ...]]
 ) -> list[str]:
     """The images that no release which stays runs; none if one of these does not say which it runs."""
-    pins = {**{tuple(key.split("/", 1)): names for key, names in facts.fleet.image_store.pins.items()}, **new}
-    if not all(release in pins for release in stay):
+    pins = {**facts.fleet.image_store.pins, **{"/".join(release): names for release, names in new.items()}}
+    staying = ["/".join(release) for release in stay]
+    if not all(release in pins for release in staying):
         return []
-    needed = {name for release in stay for name in pins[release]}
+    needed = {name for release in staying for name in pins[release]}
     return sorted(name for name in facts.fleet.images if _OURS.fullmatch(name) and name not in needed)
 
 

@@ -107,17 +107,19 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What will be done to one robot.
+    """What will be done to one robot, or to one of its stacks.
 
-    ``explain`` and ``recover`` run when a step fails that is not ``harmless``, or any step after it. The output of
-    ``explain`` (a container's last log lines) is added to the reason; ``recover`` starts again what ran before.
-    ``afterwards`` runs when all steps have succeeded; its own failures are ignored. A plan without steps leaves the robot
-    as it is, and ``summary`` says why; otherwise ``summary`` says what the robot will become. ``forecast`` is the expected
-    use of bytes, time and disk. ``transfer`` is how the images are sent, if any are.
+    ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added to
+    the reason. ``recover`` runs then, and undoes what the plan has begun. ``afterwards`` runs when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot
+    as it is, and ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``stack`` is named if
+    the plan is about one of several. ``forecast`` is what is expected of it: bytes, time, disk. ``transfer`` is how the
+    images are sent, if any are. ``record`` goes into the history of the robot as a whole; a stack's own is written by what
+    runs on the robot.
     """
 
     robot: str
     summary: str
+    stack: str = ""
     steps: tuple[Step, ...] = ()
     explain: tuple[Step, ...] = ()
     recover: tuple[Step, ...] = ()

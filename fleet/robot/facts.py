@@ -18,7 +18,6 @@ SETTLED = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Container:
-<<<<<<< HEAD
     """One container of a release, in Docker's words.
 
     ``state`` is running, exited, restarting, created, paused or dead. ``health`` is empty without a health check, else
@@ -26,9 +25,6 @@ class Container:
     it again, ``policy`` its restart policy. ``since`` is when it was started, or when it ended, in seconds since the epoch.
     ``robot`` is the name that the inventory gave the robot when it was shipped.
     """
-=======
-    """One container of a release. ``status`` is Docker's text, such as ``Up 3 minutes (healthy)``."""
->>>>>>> h-b
 
     name: str
     service: str
@@ -49,17 +45,12 @@ class Container:
 
     @property
     def healthy(self) -> bool:
-<<<<<<< HEAD
         """Running and healthy as far as it can be asked, or completed."""
         return self.completed or (self.state == "running" and self.health in ("", "healthy"))
 
     def looping(self, now: float) -> bool:
         """Whether it ends and is started again, over and over: Docker forgives that after some seconds, a person should not."""
         return self.state == "restarting" or (self.restarts > 0 and now - self.since < SETTLED)
-=======
-        """Running, and neither unhealthy nor still starting. Without a health check, running is enough."""
-        return self.state == "running" and "(unhealthy)" not in self.status and "(health:" not in self.status
->>>>>>> h-b
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
     receipts/               the manifests of the images that were sent, for a containerd store
     spool/                  uploads that were interrupted; empty otherwise
     runs/                   the output of what goes on without a desktop
+    history                 what was done to the robot as a whole: `fab provision`
     lock, holder            held while containers are swapped or old releases removed; by whom
 
 Every command starts in the login's home directory (`fleet.ssh.session`), so paths are relative to it. The scripts in
@@ -26,6 +27,7 @@ PART = ".part"
 """The ending of a release's directory while it is being written."""
 
 STACKS = f"{HOME}/stacks"
+HISTORY = f"{HOME}/history"
 SPOOL = f"{HOME}/spool"
 RECEIPTS = f"{HOME}/receipts"
 

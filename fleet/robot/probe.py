@@ -82,7 +82,13 @@ def _host(sections: Mapping[str, str]) -> Host:
 
 def _login(sections: Mapping[str, str], *, noise: str) -> Login:
     name, home, *groups = (*sections["login"].splitlines(), "", "")
-    return Login(name=name, home=home, groups=tuple(" ".join(groups).split()), sudo=_sudo(sections["sudo"]), noise=noise)
+    return Login(
+        name=name,
+        home=home,
+        groups=tuple(" ".join(groups).split()),
+        sudo=_sudo(sections["sudo"]),
+        noise=noise,
+    )
 
 
 def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
@@ -164,7 +170,9 @@ def _stacks(text: str, containers: tuple[Container, ...]) -> dict[str, StackFact
     blocks = (block.partition("\n") for block in f"\n{text}".split("\nstack ")[1:])
     lines = {name: body.splitlines() for name, _, body in blocks}
     names = (*lines, *sorted({one.stack for one in containers if one.stack} - lines.keys()))
-    return {name: _stack(lines.get(name, []), [one for one in containers if one.stack == name]) for name in names}
+    return {
+        name: _stack(lines.get(name, []), [one for one in containers if one.stack == name]) for name in names
+    }
 
 
 def _stack(lines: list[str], containers: list[Container]) -> StackFacts:
@@ -201,7 +209,9 @@ def _container(line: str) -> Container | None:
         return None
     text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in words}
     numbers = (fields.get("code"), fields.get("restarts"))
-    code, restarts = (number if isinstance(number, int) and abs(number) < 1 << 31 else 0 for number in numbers)
+    code, restarts = (
+        number if isinstance(number, int) and abs(number) < 1 << 31 else 0 for number in numbers
+    )
     return Container(
         name=text["name"].removeprefix("/"),
         service=text["service"],

@@ -22,7 +22,7 @@ from fleet.config.stack import literal
 from fleet.robot import paths
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from fleet.config.compose import Project
     from fleet.config.stack import Service, Stack
@@ -55,6 +55,11 @@ class Release:
         return {
             # Only the login reads it: the robot's values are in it, tokens among them.
             "compose.yaml": File(data=text.encode(), mode=0o600),
+            # For those who start and watch it: which services must run, and which folders of data there are.
+            "services": File(
+                data="".join(f"{one.name}={one.restart}\n" for one in _must_run(self.services)).encode()
+            ),
+            "data-folders": File(data="".join(f"{name}\n" for name in self.folders).encode()),
             **{f"project/{name}": file for name, file in self.project.items()},
             **{f"seeds/{name}": file for name, file in self.seeds.items()},
         }
@@ -91,16 +96,14 @@ def compose(
     project: Project,
     files: ProjectFiles,
     images: Mapping[str, Image],
-    secrets: Mapping[str, str] | None = None,
-    settings: Mapping[str, Any] | None = None,
+    values: Mapping[str, str] | None = None,
 ) -> Release:
     """One robot's release of a stack; ``images`` has the local image of each service.
 
-    ``secrets`` are the values of ``environment:`` configs and secrets, which become files. ``settings`` is what else
-    makes a difference to the robot and so to the release's id.
+    ``values`` are the robot's variables: configs and secrets that are taken from one become files.
     """
     rendering = _Rendering(stack, project=project, data=files.data)
-    model = rendering.model(images, values=secrets or {})
+    model = rendering.model(images, values=values or {})
     ours = {**files.files, **rendering.files}
     content = {
         "model": model,
@@ -108,7 +111,6 @@ def compose(
         "seeds": {name: file.digest for name, file in files.seeds.items()},
         "folders": files.folders,
         "images": {service: image.fingerprint for service, image in images.items()},
-        "settings": settings or {},
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
     labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
@@ -155,7 +157,9 @@ class _Rendering:
 
     def _service(self, service: dict[str, Any], image: Image) -> dict[str, Any]:
         left_out = ("build", "develop", "profiles", "pull_policy", "image", "platform")
-        kept = {key: value for key, value in service.items() if key not in left_out and not key.startswith("x-")}
+        kept = {
+            key: value for key, value in service.items() if key not in left_out and not key.startswith("x-")
+        }
         for key in ("command", "entrypoint"):  # Compose before 2.6 does not read `null` here
             if kept.get(key, ...) is None:
                 del kept[key]
@@ -206,7 +210,9 @@ def _for_old_versions(service: dict[str, Any]) -> dict[str, Any]:
             for one in devices
         ]
     if hosts := service.get("extra_hosts"):  # `name=address` is known from 2.24 on
-        service["extra_hosts"] = [host.replace("=", ":", 1) for host in hosts] if isinstance(hosts, list) else hosts
+        service["extra_hosts"] = (
+            [host.replace("=", ":", 1) for host in hosts] if isinstance(hosts, list) else hosts
+        )
     if gpus := service.pop("gpus", None):  # known from 2.30 on
         wanted = [{"capabilities": ["gpu"], **one} for one in gpus]
         reserved = service.setdefault("deploy", {}).setdefault("resources", {}).setdefault("reservations", {})
@@ -222,6 +228,10 @@ def _text(model: Mapping[str, Any]) -> str:
     """A model as text. JSON is YAML, and quotes itself: every value stays as it is, byte for byte."""
     text = json.dumps(model, indent=2, ensure_ascii=False)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text) + "\n"
+
+
+def _must_run(services: Mapping[str, Service]) -> list[Service]:
+    return [service for service in services.values() if service.replicas > 0]
 
 
 def _sorted(names: Mapping[str, Any]) -> list[str]:

@@ -21,7 +21,8 @@ def test_status_tells_programs_and_people(project: Project, pi: Pi) -> None:
     project.well("ship")
     said = project.well("status", "--json").json
     assert {
-        name: (robot["reachable"], robot["healthy"], robot["current"]) for name, robot in said.items()
+        name: (robot["reachable"], robot["healthy"], robot["fleet"]["current"])
+        for name, robot in said.items()
     } == {pi.name: (True, True, current(pi)) for pi in project.lab.pis}
     pi.exec("docker", "rm", "--force", running(pi)["tick"][0])
     table = project.fab("status")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from fleet.config import validation
 from fleet.config.inventory import Robot, Ros
 from fleet.ros import environment
 
@@ -69,3 +70,8 @@ def test_ipv6_address_in_a_uri() -> None:
 def test_is_loopback(host: str, answer: bool) -> None:
     """Only names and addresses that mean every computer itself."""
     assert environment.is_loopback(host) is answer
+
+
+def test_an_inventory_reserves_each_variable_that_is_set_here() -> None:
+    """`config` lies below `ros` and cannot import its table."""
+    assert set(environment.VARIABLES) == {name for name in validation.RESERVED if name.startswith("ROS_")}
