@@ -212,7 +212,9 @@ class _Collector:
         return 0 if path.is_symlink() and not path.is_file() else path.stat().st_size
 
     def _problem(self, mount: Mount, what: str, cure: str) -> None:
-        self.problems.append(f"{self._where(mount)}: services.{mount.service}: {_written(mount.path)} {what}; {cure}")
+        self.problems.append(
+            f"{self._where(mount)}: services.{mount.service}: {_written(mount.path)} {what}; {cure}"
+        )
 
     def _where(self, mount: Mount) -> str:
         """The line of a Compose file that names the path; without one the first file."""

@@ -22,9 +22,7 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
         path.write_text(text)
 
 
-def resolved(
-    folder: Path, *, named: tuple[str, ...] = ("compose.yaml",), **environment: str
-) -> Resolved:
+def resolved(folder: Path, *, named: tuple[str, ...] = ("compose.yaml",), **environment: str) -> Resolved:
     with compose.opened([folder / name for name in named]) as project:
         return compose.resolve(project, environment=environment)
 
@@ -184,7 +182,9 @@ def test_a_profile_that_no_service_has(tmp_path: Path, files: dict[str, str]) ->
 )
 def test_the_name_of_a_stack(tmp_path: Path, folder: str, text: str, name: str) -> None:
     """Compose's: of the file, else of its folder; paths below odd folders are still relative."""
-    write(tmp_path / folder, {"compose.yaml": text + "    volumes: ['./maps:/maps', '../o:/o', '/abs:/abs']\n"})
+    write(
+        tmp_path / folder, {"compose.yaml": text + "    volumes: ['./maps:/maps', '../o:/o', '/abs:/abs']\n"}
+    )
     with compose.opened([tmp_path / folder / "compose.yaml"]) as project:
         found = compose.resolve(project, environment={})
         sources = [volume["source"] for volume in found.model["services"]["a"]["volumes"]]
@@ -198,7 +198,8 @@ def test_the_name_of_a_stack(tmp_path: Path, folder: str, text: str, name: str) 
 def test_paths_of_the_robots_home_and_far_above(tmp_path: Path) -> None:
     """``~`` is the robot's, ``${PWD}`` the project; a path far above is still known to be relative."""
     write(
-        tmp_path, {"compose.yaml": ONE + "    volumes: ['~/maps:/a', '${PWD}/b:/b', '../../../../../../c:/c']\n"}
+        tmp_path,
+        {"compose.yaml": ONE + "    volumes: ['~/maps:/a', '${PWD}/b:/b', '../../../../../../c:/c']\n"},
     )
     with compose.opened([tmp_path / "compose.yaml"]) as project:
         model = compose.resolve(project, environment={}).model

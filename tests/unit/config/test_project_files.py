@@ -213,7 +213,13 @@ def test_what_is_ignored_is_not_too_large(folder: Path, monkeypatch: MonkeyPatch
 def test_every_problem_at_once(folder: Path) -> None:
     """Each with its line, each once."""
     os.mkfifo(folder / "pipe")
-    lines = ("- ../../x:/x", "- ./nav.yaml:/nav.yaml", "- ./gone:/gone:ro", "file: ./key", "- ./pipe:/pipe:ro")
+    lines = (
+        "- ../../x:/x",
+        "- ./nav.yaml:/nav.yaml",
+        "- ./gone:/gone:ro",
+        "file: ./key",
+        "- ./pipe:/pipe:ro",
+    )
     mounts = (
         mount("../../x", "/x"),
         mount("nav.yaml", "/nav.yaml"),

@@ -218,7 +218,11 @@ def test_a_release_that_crashes_goes_back(robot: Robot) -> None:
     done = robot.swap("two", settle=6)
     assert done.returncode == 1
     first, *rest = done.stderr.splitlines()
-    ways = ("node has restarted", "node has restarted (exit code 7)", "node ends again and again (exit code 7)")
+    ways = (
+        "node has restarted",
+        "node has restarted (exit code 7)",
+        "node ends again and again (exit code 7)",
+    )
     assert first in ways
     assert "lidar is missing" in rest
     assert rest[-1] == "went back to release one, which runs"
