@@ -22,15 +22,17 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
         path.write_text(text)
 
 
-def resolved(folder: Path, *, named: tuple[str, ...] = ("compose.yaml",), **environment: str) -> Resolved:
+def resolved(
+    folder: Path, environment: Mapping[str, str] | None = None, *, named: tuple[str, ...] = ("compose.yaml",)
+) -> Resolved:
     with compose.opened([folder / name for name in named]) as project:
-        return compose.resolve(project, environment=environment)
+        return compose.resolve(project, environment=environment or {})
 
 
 def services(folder: Path, text: str, files: Mapping[str, str] | None = None, **environment: str) -> Any:  # noqa: ANN401
     """The services of a stack whose compose.yaml is ``text``."""
     write(folder, {"compose.yaml": text, **(files or {})})
-    return resolved(folder, **environment).model["services"]
+    return resolved(folder, environment).model["services"]
 
 
 def refusal(folder: Path, text: str, files: Mapping[str, str] | None = None, **environment: str) -> str:
@@ -254,13 +256,13 @@ DEFINE = "define it in the file, or correct its name"
         ("services:\n  a:\n    command: x\n", '2: service "a" has neither `image:` nor `build:`; name an image'),
         (
             ONE + "    environment:\n      A: ${NEED:?say it}\n",
-            "5: services.a.environment.A: the required variable NEED is not set (say it); "
-            "set it under `environment:` of the robot in the inventory, or in the project's .env",
+            ("5: services.a.environment.A: the required variable NEED is not set (say it); "
+            "set it under `environment:` of the robot in the inventory, or in the project's .env"),
         ),
         (
             "services:\n  a:\n    image: ${NEED?}\n",
-            "3: services.a.image: the required variable NEED is not set; "
-            "set it under `environment:` of the robot in the inventory, or in the project's .env",
+            ("3: services.a.image: the required variable NEED is not set; "
+            "set it under `environment:` of the robot in the inventory, or in the project's .env"),
         ),
         (ONE + "    command: ${A\n", "4: services.a.command: `${A` is not a variable; write `${NAME}`, or `$$` for a dollar sign"),
         (ONE + "    env_file: gone.env\n", f"4: the env_file `gone.env`: no such file; {MAKE}"),
@@ -283,8 +285,8 @@ DEFINE = "define it in the file, or correct its name"
         (ONE + "    ports: ['99999:1']\n", "4: `99999` is not a port of the host; a port is a number from 1 to 65535"),
         (
             ONE + "    healthcheck: {test: [CMD, t], interval: 5parsecs}\n",
-            '4: services.a.healthcheck.interval: time: unknown unit "parsecs" in duration "5parsecs"; '
-            "write a duration such as `1m30s`",
+            ('4: services.a.healthcheck.interval: time: unknown unit "parsecs" in duration "5parsecs"; '
+            "write a duration such as `1m30s`"),
         ),
         (
             ONE + "    network_mode: host\n    networks: [n]\nnetworks:\n  n:\n",

@@ -15,8 +15,6 @@ from fleet.errors import ComposeError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pytest import MonkeyPatch
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -186,7 +184,7 @@ def test_a_file_in_a_folder_of_a_name_that_begins_with_a_dot(folder: Path) -> No
 # --- Refused
 
 
-def test_too_large(folder: Path, monkeypatch: MonkeyPatch) -> None:
+def test_too_large(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the whole size, and three ways out."""
     monkeypatch.setattr(project_files, "LIMIT", 1000)
     (folder / "bags").mkdir()
@@ -201,7 +199,7 @@ def test_too_large(folder: Path, monkeypatch: MonkeyPatch) -> None:
     ]
 
 
-def test_what_is_ignored_is_not_too_large(folder: Path, monkeypatch: MonkeyPatch) -> None:
+def test_what_is_ignored_is_not_too_large(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """That is the cure that was named."""
     monkeypatch.setattr(project_files, "LIMIT", 1000)
     (folder / "config").mkdir()
@@ -271,7 +269,7 @@ def test_outside_where_the_inventory_allows_it(folder: Path) -> None:
     assert len(other) == 1
 
 
-def test_what_cannot_be_read(folder: Path, monkeypatch: MonkeyPatch) -> None:
+def test_what_cannot_be_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which file it is, in the system's words."""
     (folder / "config").mkdir()
     (folder / "config/key").write_text("x")

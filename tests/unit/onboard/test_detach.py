@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,6 +13,7 @@ from tests.support.lab_project import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 
 class Attendants:
@@ -23,8 +23,8 @@ class Attendants:
         self.home = home
         self._all: list[subprocess.Popen[str]] = []
 
-    def attend(self, script: str, *arguments: str, token: str = "run.1") -> subprocess.Popen[str]:  # noqa: S107
-        argv = ("sh", "-c", onboard.text("detach.sh"), "detach", token, script, "script", *arguments)
+    def attend(self, script: str, *arguments: str, run_name: str = "run.1") -> subprocess.Popen[str]:
+        argv = ("sh", "-c", onboard.text("detach.sh"), "detach", run_name, script, "script", *arguments)
         environment = {"PATH": f"{self.home.parent / 'bin'}:{os.environ['PATH']}", "HOME": str(self.home)}
         one = subprocess.Popen(
             argv,
@@ -43,8 +43,8 @@ class Attendants:
         out, errors = one.communicate(timeout=20)
         return one.returncode, out, errors
 
-    def run(self, script: str, *arguments: str, token: str = "run.1") -> tuple[int, str, str]:  # noqa: S107
-        return self.ended(self.attend(script, *arguments, token=token))
+    def run(self, script: str, *arguments: str, run_name: str = "run.1") -> tuple[int, str, str]:
+        return self.ended(self.attend(script, *arguments, run_name=run_name))
 
     @property
     def runs(self) -> Path:
@@ -101,7 +101,7 @@ def test_coming_back_to_what_has_ended(robot: Attendants) -> None:
     script = "echo x >> count; cat count; exit 4"
     assert robot.run(script) == (4, "x\n", "")
     assert robot.run(script) == (4, "x\n", "")
-    assert robot.run(script, token="run.2") == (4, "x\nx\n", "")
+    assert robot.run(script, run_name="run.2") == (4, "x\nx\n", "")
 
 
 def test_two_who_watch_at_once(robot: Attendants) -> None:
@@ -143,7 +143,7 @@ def test_the_number_of_a_dead_process_is_anothers_now(robot: Attendants) -> None
 def test_a_folder_that_cannot_be_made(robot: Attendants) -> None:
     """The reason is the system's, and the script did not run."""
     robot.runs.mkdir(parents=True)
-    code, out, errors = robot.run("echo never", token="no/such/folder")
+    code, out, errors = robot.run("echo never", run_name="no/such/folder")
     assert (code, out) == (1, "")
     assert "No such file or directory" in errors
 
