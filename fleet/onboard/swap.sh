@@ -35,7 +35,7 @@ put() {
 
 exec 9>>"$fleet/lock"
 if ! flock -n 9; then
-    read -r holder <"$fleet/holder" 2>/dev/null || holder='another command'
+    read -r holder 2>/dev/null <"$fleet/holder" || holder='another command'
     say "note: waits for $holder"
     flock -w "$turn" 9 || {
         say "$holder has not ended after $turn s" >&2
@@ -63,7 +63,11 @@ compose() { # RELEASE ARGUMENT...
     fi
 }
 
-ours() { docker ps --all --no-trunc --filter "label=com.docker.compose.project=$stack" "$@"; }
+# Not those of `docker compose run`, which end when a person has done with them.
+ours() {
+    docker ps --all --no-trunc --filter "label=com.docker.compose.project=$stack" \
+        --filter label=com.docker.compose.oneoff=False "$@"
+}
 
 # A swap that was cut leaves containers that were created and never started; Compose trips over their names.
 clear_half_made() {
@@ -79,7 +83,7 @@ note_history() { # RELEASE OUTCOME
     line=$(printf '%s\t%s\t%s\t%s\t%s' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$verb" "$1" "$by" "$2" | tr '\n' ' ')
     # A line that a power cut has torn, or that ends in NUL bytes, is not continued.
     {
-        tr -d '\000' <"$here/history" 2>/dev/null | sed -n '/./p'
+        tr -d '\000' 2>/dev/null <"$here/history" | awk 'length'
         printf '%s\n' "$line"
     } | put "$here/history"
 }
@@ -91,7 +95,8 @@ become_current() {
 # --- The robot's own data
 
 # dpkg's rule for configuration files: `delivered` says what was laid there last. What the robot has not changed is
-# updated; what it has changed is kept; what both have changed is kept too, and said, with the new one laid beside it.
+# updated; what it has changed is kept; what both have changed is kept too, and said once, with the new one laid beside
+# it. Such a file keeps its old entry, so that a later command can still decide for the desktop's.
 digest() {
     if [ -L "$1" ]; then
         readlink "$1" | sha256sum | cut -c1-64
@@ -104,7 +109,7 @@ digest() {
 lay() { # FROM TO
     mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
 }
-delivered() { awk -v path="$1" 'substr($0, 66) == path { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
+delivered() { path=$1 awk 'substr($0, 66) == ENVIRON["path"] { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
 merge_data() {
     seeds=$(folder "$release")/seeds
     mkdir -p "$here/data"
@@ -113,26 +118,34 @@ merge_data() {
     : >"$here/delivered.new"
     while IFS= read -r path; do
         new=$(digest "$seeds/$path") now=$(digest "$here/data/$path") last=$(delivered "$path")
+        entry=$new
         case $now in
             "$new") ;;
             '')
                 # Never delivered: the robot gets it. Delivered, and removed by the robot: it stays removed.
-                if [ -z "$last" ]; then lay "$seeds/$path" "$here/data/$path" || return 1; fi
+                if [ -z "$last" ] || { [ "$conflict" = desktop ] && [ "$new" != "$last" ]; }; then
+                    lay "$seeds/$path" "$here/data/$path" || return 1
+                fi
                 ;;
             "$last") lay "$seeds/$path" "$here/data/$path" || return 1 ;;
             *)
-                if [ "$new" != "$last" ]; then
-                    if [ "$conflict" = desktop ]; then
-                        mv -fT "$here/data/$path" "$here/data/$path.from-robot" && lay "$seeds/$path" "$here/data/$path" || return 1
-                        say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
-                    else
+                if [ "$new" = "$last" ]; then
+                    : # only the robot has changed it
+                elif [ "$conflict" = desktop ]; then
+                    # An earlier one of that name is kept too.
+                    mv -T --backup=numbered "$here/data/$path" "$here/data/$path.from-robot" || return 1
+                    lay "$seeds/$path" "$here/data/$path" || return 1
+                    say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
+                else
+                    entry=$last
+                    if [ "$(digest "$here/data/$path.from-desktop")" != "$new" ]; then
                         lay "$seeds/$path" "$here/data/$path.from-desktop" || return 1
                         say "note: $path was changed on the robot too: kept, the new one is $path.from-desktop"
                     fi
                 fi
                 ;;
         esac
-        printf '%s %s\n' "$new" "$path" >>"$here/delivered.new"
+        [ -z "$entry" ] || printf '%s %s\n' "$entry" "$path" >>"$here/delivered.new"
     done <"$here/delivered.list"
     # Files that this release does not deliver any more keep their entry: the robot's stay as they are.
     if [ -e "$here/delivered" ]; then
@@ -150,8 +163,8 @@ data_folders() {
 
 # --- Watching
 
-# id, service, state, exit code, restarts, health, restart policy
-template='{{.Id}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}} {{.HostConfig.RestartPolicy.Name}} '
+# id, service, state, exit code, restarts, health. (With `.Id` Docker takes another way, on which a missing Health is an error.)
+template='{{.ID}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}}'
 states() { ours --quiet | xargs -r docker inspect --format "$template" 2>/dev/null; }
 
 # One line: `ok`, `wait WHY` or `bad WHY`. A container that was there before may have restarted in an earlier life.
@@ -165,7 +178,8 @@ judge() { # SECONDS
         }
         !($2 in policy) { next }
         { seen[$2] = 1 }
-        $5 > count[$1] + 0 { bad = bad $2 " has restarted (exit code " $4 "); "; next }
+        # The exit code of one that runs again is lost.
+        $5 > count[$1] + 0 { bad = bad $2 " has restarted" ($3 == "running" ? "; " : " (exit code " $4 "); "); next }
         $3 == "restarting" { bad = bad $2 " ends again and again (exit code " $4 "); "; next }
         $3 == "exited" && $4 == 0 && policy[$2] != "always" { next }
         $3 == "exited" || $3 == "dead" { bad = bad $2 " has ended with code " $4 "; "; next }
@@ -182,7 +196,8 @@ judge() { # SECONDS
 }
 
 watch() {
-    began=$(date +%s)
+    began=$(date +%s) most=$wait
+    [ "$settle" -le "$most" ] || most=$settle
     while :; do
         passed=$(($(date +%s) - began))
         verdict=$(judge "$passed")
@@ -193,17 +208,12 @@ watch() {
                 return 1
                 ;;
         esac
-        if [ "$passed" -ge "$wait" ]; then
+        if [ "$passed" -ge "$most" ]; then
             why="${verdict#wait } after $passed s"
             return 1
         fi
         sleep 1
     done
-}
-
-up() { # RELEASE
-    earlier=$(states | awk '{ printf "%s=%s ", $1, $5 }')
-    compose "$1" up --detach --no-build --pull never --remove-orphans
 }
 
 # Start a release and see it run; `why` says why not.
@@ -214,13 +224,14 @@ run() { # RELEASE
         wanted=$(compose "$1" config --services 2>/dev/null | sed 's/$/=always/' | tr '\n' ' ')
     fi
     why=
-    output=$(up "$1" 2>&1)
+    earlier=$(states | awk '{ printf "%s=%s ", $1, $5 }')
+    output=$(compose "$1" up --detach --no-build --pull never --remove-orphans 2>&1)
     code=$?
     if [ "$code" = 0 ]; then
         watch
         return
     fi
-    why=$(printf '%s\n' "$output" | sed -n '/[^ ]/p' | tail -n 12)
+    why=$(printf '%s\n' "$output" | sed -n '/^[^ ]/p' | tail -n 12) # its progress is indented
     [ "$code" != 124 ] || why="Compose did not end within $limit s: $(printf '%s\n' "$output" | tail -n 1)"
     [ -n "$why" ] || why='Compose could not start it'
     return 1
@@ -237,8 +248,9 @@ fi
 journal begin
 clear_half_made
 why=
-if ! { merge_data && data_folders; }; then
-    why="the data folder cannot be written: $(df -Ph "$here" | awk 'NR == 2 { print $4 " free" }')"
+exec 3>&1 # for notes
+if ! problem=$({ merge_data && data_folders; } 2>&1 >&3); then
+    why="the robot's data cannot be written: $(printf '%s\n' "$problem" | tail -n 1)"
 elif [ "$verb" = restart ] && ! output=$(compose "$release" restart 2>&1); then
     why=$(printf '%s\n' "$output" | tail -n 1)
 else

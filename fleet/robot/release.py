@@ -155,7 +155,10 @@ class _Rendering:
         for kind in ("configs", "secrets"):
             for name, one in (model.get(kind) or {}).items():
                 model[kind][name] = self._given(kind, name, one, values)
-        return model
+        # What is left of the project's folder came from `${PWD}`: it differs in each run.
+        place = f"{self._stacks_folder}/releases/{_ID}/project"
+        moved: dict[str, Any] = _replaced(model, old=str(self._project.folder), new=place)
+        return moved
 
     def _service(self, service: dict[str, Any], image: Image) -> dict[str, Any]:
         left_out = ("build", "develop", "profiles", "pull_policy", "image", "platform")
@@ -165,6 +168,10 @@ class _Rendering:
         for key in ("command", "entrypoint"):  # Compose before 2.6 does not read `null` here
             if kept.get(key, ...) is None:
                 del kept[key]
+        if "environment" in kept:  # one without a value would be taken from the login's shell on the robot
+            kept["environment"] = {
+                key: value for key, value in kept["environment"].items() if value is not None
+            }
         kept |= {"image": image.shipped_as, "platform": image.platform}
         for volume in kept.get("volumes") or ():
             if volume.get("type") == "bind":
@@ -197,6 +204,14 @@ class _Rendering:
             folder = PurePosixPath(self._stacks_folder) / "releases" / _ID / "project"
             return {**rest, "file": str(folder / inside)}
         return one
+
+
+def _replaced(value: Any, *, old: str, new: str) -> Any:  # noqa: ANN401  a model's value
+    if isinstance(value, dict):
+        return {key: _replaced(inner, old=old, new=new) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_replaced(inner, old=old, new=new) for inner in value]
+    return value.replace(old, new) if isinstance(value, str) else value
 
 
 def _for_old_versions(service: dict[str, Any]) -> dict[str, Any]:

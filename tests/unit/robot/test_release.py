@@ -2,191 +2,280 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
 import tarfile
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
-from fleet.config.inventory import Robot, Ros
-from fleet.config.stack import Stack, read_stack
-from fleet.errors import ImageError, InventoryError
+from fleet.config import compose as desktop
+from fleet.config.compose import HOME, LEVELS, Project, Resolved
+from fleet.config.project_files import File, ProjectFiles
+from fleet.config.stack import read
 from fleet.images.image import Image
-from fleet.robot.release import Release, compose, dotenv
-from tests.support.samples import PI, STACK, TALKER, release
+from fleet.robot.release import Release, compose
+from tests.support.robot_shell import SHELLS
 
-HERE = Path(__file__).parents[3]
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
-
-def stack(tmp_path: Path, text: str, *, folder: str = "") -> Stack:
-    """The stack of a Compose file with this text."""
-    path = tmp_path / folder / "compose.yaml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return read_stack(path)
-
-
-def changed(**values: object) -> Robot:
-    return PI.model_copy(update=values)
+ABOVE = Path("/tmp/t").joinpath(*["up"] * LEVELS)
+HERE = f"{ABOVE}/robot"
+PROJECT = Project(files=(Path("robot/compose.yaml"),), real=Path("/home/tim/robot"), folder=ABOVE / "robot")
+IMAGE = Image(reference="x:latest", platform="linux/arm64", size=1, identity="linux/arm64\nlayer sha256:aa")
+FILES = ProjectFiles()
 
 
-def test_the_same_content_is_the_same_release() -> None:
-    """Whoever ships it, whenever: the id comes from the content alone."""
-    assert release() == release()
-    assert len(release().id) == 12
+def release(
+    service: Mapping[str, Any] | None = None,
+    *,
+    files: ProjectFiles = FILES,
+    image: Image = IMAGE,
+    robot: str = "pi1",
+    values: Mapping[str, str] | None = None,
+    **model: Any,  # noqa: ANN401
+) -> Release:
+    whole = {"name": "robot", "services": {"node": {"image": "x", **(service or {})}}, **model}
+    stack = read(Resolved(model=whole), PROJECT)
+    images = dict.fromkeys(stack.services, image)
+    return compose(robot=robot, stack=stack, project=PROJECT, files=files, images=images, values=values)
 
 
-def test_each_ingredient_changes_the_id(tmp_path: Path) -> None:
-    """Stack, image, environment, ROS settings, files, their names, the robot: none may change unseen."""
-    (tmp_path / "a").write_text("1")
-    (tmp_path / "b").write_text("2")
-    other_image = Image(reference="talker", platform="linux/arm64", size=1, identity="another")
-    ids = [
-        release().id,
-        release(stack=Stack(name="talker", text=STACK.text + "\n", images=STACK.images, builds={})).id,
-        release(stack=Stack(name="other", text=STACK.text, images=STACK.images, builds={})).id,
-        release(image=other_image).id,
-        release(robot=changed(environment={"TALKER_RATE": "1"})).id,
-        release(robot=changed(environment={"TALKER_RATE": "2"})).id,
-        release(robot=changed(ros=Ros(hostname="pi1"))).id,
-        release(robot=changed(name="pi2")).id,
-        release(robot=changed(files={"x.yaml": tmp_path / "a"})).id,
-        release(robot=changed(files={"x.yaml": tmp_path / "b"})).id,
-        release(robot=changed(files={"y.yaml": tmp_path / "a"})).id,
-    ]
-    assert len(set(ids)) == len(ids)
+def written(made: Release, home: str = "/home/pi") -> Any:  # noqa: ANN401
+    """The Compose file as the robot gets it."""
+    return json.loads(made.files(home)["compose.yaml"].data)
 
 
-def test_where_things_are_on_the_desktop_does_not_change_the_id(tmp_path: Path) -> None:
-    """The image's local name, the file's folder, the order of variables, how the robot is reached."""
-    (tmp_path / "a").write_text("1")
-    (tmp_path / "b").write_text("1")
-    one = changed(files={"x": tmp_path / "a"}, environment={"A": "1", "B": "2"}, ros=Ros(hostname="pi1"))
-    two = changed(
-        files={"x": tmp_path / "b"},
-        environment={"B": "2", "A": "1"},
-        ros=Ros(hostname="pi1"),
-        address="192.168.1.21",
-        user="tim",
-        port=2222,
-    )
-    renamed = Image(reference="talker", platform=TALKER.platform, size=2, identity=TALKER.identity)
-    assert release(robot=one).id == release(robot=two, image=renamed).id
+def node(made: Release) -> Any:  # noqa: ANN401
+    return written(made)["services"]["node"]
 
 
-def test_what_a_release_holds(tmp_path: Path) -> None:
-    """The person's file as it is, the pins, the robot's variables in order, and its own files."""
-    (tmp_path / "camera").write_bytes(b"\x00\xff")
-    robot = changed(
-        environment={"TALKER_RATE": "2", "GREETING": "hello you"}, files={"camera.yaml": tmp_path / "camera"}
-    )
-    made = release(robot=robot)
-    assert (made.stack, made.robot, made.services, made.images) == ("talker", "pi1", ("talker",), (TALKER,))
-    assert sorted(made.files) == [".env", "compose.override.yaml", "compose.yaml", "files/camera.yaml"]
-    assert made.files["compose.yaml"].decode() == STACK.text
-    assert made.files["files/camera.yaml"] == b"\x00\xff"
-    assert made.files[".env"].decode() == (
-        "FLEET_ROBOT=pi1\n"
-        "GREETING='hello you'\n"
-        "ROS_HOSTNAME=pi1.local\n"
-        "ROS_MASTER_URI=http://localhost:11311\n"
-        "TALKER_RATE=2\n"
-    )
-    assert json.loads(made.files["compose.override.yaml"]) == {
-        "name": "talker",
-        "services": {
-            "talker": {
-                "image": TALKER.shipped_as,
-                "platform": "linux/arm64",
-                "labels": {"fleet.release": made.id, "fleet.stack": "talker", "fleet.robot": "pi1"},
-            }
+def test_a_service_is_pinned_and_labelled() -> None:
+    """To the image, its platform and the release; labels of its own stay."""
+    made = release({"platform": "linux/amd64", "labels": {"own": "1"}, "command": None, "entrypoint": None})
+    assert node(made) == {
+        "image": IMAGE.shipped_as,
+        "platform": "linux/arm64",
+        "labels": {
+            "own": "1",
+            "fleet.release": made.id,
+            "fleet.stack": "robot",
+            "fleet.robot": "pi1",
         },
     }
+    assert (made.stack, made.robot, made.images) == ("robot", "pi1", (IMAGE,))
 
 
-def test_two_services_two_images() -> None:
-    """Each service is pinned to its own image; one that two services share is sent once."""
-    found = {
-        name: Image(reference=name, platform="linux/arm64", size=1, identity=name) for name in ("a", "b")
+def test_what_only_the_desktop_needs_is_left_out() -> None:
+    """How an image is built, and what other tools read."""
+    more = {
+        "build": {"context": HERE},
+        "develop": {"watch": []},
+        "profiles": ["p"],
+        "pull_policy": "always",
+        "x-a": 1,
     }
-    asked: list[tuple[str, str]] = []
-
-    def find(name: str, platform: str) -> Image:
-        asked.append((name, platform))
-        return found[name]
-
-    three = Stack(name="s", text="", images={"one": "a", "two": "b", "three": "a"}, builds={})
-    made = compose(robot=changed(platform="linux/arm/v7"), stack=three, find=find)
-    assert set(asked) == {("a", "linux/arm/v7"), ("b", "linux/arm/v7")}
-    assert made.services == ("one", "two", "three")
-    assert made.images == (found["a"], found["b"])
-    pins = json.loads(made.files["compose.override.yaml"])["services"]
-    assert {name: pin["image"] for name, pin in pins.items()} == {
-        "one": found["a"].shipped_as,
-        "two": found["b"].shipped_as,
-        "three": found["a"].shipped_as,
-    }
+    unknown: dict[str, Any] = {"x-b": 2}
+    made = release(more, networks={}, **unknown)  # fmt: skip
+    assert set(node(made)) == {"image", "platform", "labels"}
+    assert set(written(made)) == {"name", "services"}
 
 
-def test_a_missing_image_is_the_stores_to_tell() -> None:
-    """Composing a release adds nothing to what the store says."""
-
-    def find(name: str, platform: str) -> Image:
-        raise ImageError(f"there is no image {name} for {platform} here")
-
-    with pytest.raises(ImageError, match="there is no image talker for linux/arm64 here"):
-        compose(robot=PI, stack=STACK, find=find)
-
-
-def test_a_file_that_is_gone_is_named_with_the_key_it_came_from(tmp_path: Path) -> None:
-    """The inventory was read a moment ago; its files may go meanwhile, or not be readable."""
-    with pytest.raises(InventoryError) as caught:
-        release(robot=changed(files={"x": tmp_path / "none"}))
-    assert caught.value.what == f"cannot read {tmp_path / 'none'}: No such file or directory"
-    assert caught.value.cure == "see `files:` in the inventory"
-
-
-def test_the_archive_is_the_same_bytes_every_time() -> None:
-    """No clock, no owner and no order of a dictionary in it."""
-    one = release()
-    backwards = Release(
-        id=one.id,
-        stack=one.stack,
-        robot=one.robot,
-        services=one.services,
-        images=one.images,
-        files=dict(reversed(list(one.files.items()))),
-    )
-    assert one.archive() == backwards.archive()
-    with tarfile.open(fileobj=io.BytesIO(one.archive())) as archive:
-        said = [(m.name, m.mode, m.mtime, m.uid, m.uname, m.isdir()) for m in archive]
-    assert said == [
-        ("files", 0o755, 0, 0, "", True),
-        (".env", 0o600, 0, 0, "", False),
-        ("compose.override.yaml", 0o644, 0, 0, "", False),
-        ("compose.yaml", 0o644, 0, 0, "", False),
+def test_paths() -> None:
+    """Data lies beside the releases, files in them; the home is the login's, and an absolute path stays."""
+    sources = ("maps", "nav.yaml", "../out/a", "a$$b")
+    volumes = [{"type": "bind", "source": f"{HERE}/{name}", "target": "/t"} for name in sources]
+    volumes[2]["source"] = f"{ABOVE}/out/a"
+    volumes += [{"type": "bind", "source": one, "target": "/t"} for one in ("/dev/x", f"{HOME}/bags")]
+    volumes.append({"type": "volume", "source": "v", "target": "/t"})
+    made = release({"volumes": volumes}, files=ProjectFiles(data=frozenset({"maps"})), volumes={"v": {"driver_opts": {"device": f"{HERE}/maps"}}})  # fmt: skip
+    whole = written(made)
+    stack = "/home/pi/.fleet/stacks/robot"
+    project = f"{stack}/releases/{made.id}/project"
+    assert [one["source"] for one in whole["services"]["node"]["volumes"]] == [
+        f"{stack}/data/maps",
+        f"{project}/nav.yaml",
+        f"{project}/_up/out/a",
+        f"{project}/a$$b",
+        "/dev/x",
+        "/home/pi/bags",
+        "v",
     ]
+    assert whole["volumes"]["v"]["driver_opts"]["device"] == f"{stack}/data/maps"
+    assert (
+        written(made, home='/srv/$a "b"\\')["services"]["node"]["volumes"][5]["source"]
+        == '/srv/$$a "b"\\/bags'
+    )
 
 
-@pytest.mark.parametrize(
-    ("value", "written"),
-    [
-        ("", ""),
-        ("2", "2"),
-        ("http://pi1:11311", "http://pi1:11311"),
-        ("/dev/ttyUSB0", "/dev/ttyUSB0"),
-        ("a b", "'a b'"),
-        ("#hash", "'#hash'"),
-        ("$(reboot) `x` ${HOME}", "'$(reboot) `x` ${HOME}'"),
-        ('say "hi"', "'say \"hi\"'"),
-        ("it's", '"it\'s"'),
-        ("it's $5", '"it\'s \\$5"'),
-        ("two\nlines", '"two\\nlines"'),
-        ("end\\", '"end\\\\"'),
-        ("a\\b", "'a\\b'"),
-        ('it\'s a\\b "c"', '"it\'s a\\\\b \\"c\\""'),
-        ("Grüße ☃", "'Grüße ☃'"),
-    ],
+def test_no_path_of_this_computer_is_left() -> None:
+    """``${PWD}`` in a command or a variable is the project's place on the robot, the same in each run."""
+    made = release({"environment": {"PWD": HERE}, "command": ["ls", f"{HERE}/maps"]})
+    assert str(ABOVE) not in made.compose
+    project = f"/home/pi/.fleet/stacks/robot/releases/{made.id}/project"
+    assert node(made)["environment"] == {"PWD": project}
+    assert node(made)["command"] == ["ls", f"{project}/maps"]
+
+
+def test_words_for_old_versions_of_compose() -> None:
+    """What the canonical model says in words of today is said as Compose 2.5 reads it."""
+    made = release(
+        {
+            "depends_on": {"b": {"condition": "service_started", "required": True}},
+            "devices": [{"source": "/dev/a", "target": "/dev/b", "permissions": "r"}, {"source": "/dev/c"}],
+            "extra_hosts": ["pi=10.0.0.1"],
+            "gpus": [{"count": -1}],
+            "volumes": [{"type": "bind", "source": "/a", "target": "/b"}],
+        }
+    )
+    found = node(made)
+    assert found["depends_on"] == {"b": {"condition": "service_started"}}
+    assert found["devices"] == ["/dev/a:/dev/b:r", "/dev/c:/dev/c:rwm"]
+    assert found["extra_hosts"] == ["pi:10.0.0.1"]
+    assert found["deploy"]["resources"]["reservations"]["devices"] == [{"capabilities": ["gpu"], "count": -1}]
+    assert found["volumes"][0]["bind"] == {"create_host_path": True}
+
+
+def test_configs_and_secrets_become_files() -> None:
+    """Text and variables too, which old versions of Compose do not know."""
+    configs = {"a": {"content": "x$$y"}, "b": {"file": f"{HERE}/b.conf"}, "c": {"environment": "C"}}
+    secrets = {"s": {"environment": "TOKEN", "name": "robot_s"}, "out": {"external": True}}
+    made = release(configs=configs, secrets=secrets, values={"TOKEN": "t$", "C": "c"})
+    project = f"/home/pi/.fleet/stacks/robot/releases/{made.id}/project"
+    whole = written(made)
+    assert {name: one["file"] for name, one in whole["configs"].items()} == {
+        "a": f"{project}/configs/a",
+        "b": f"{project}/b.conf",
+        "c": f"{project}/configs/c",
+    }
+    assert whole["secrets"] == {
+        "s": {"file": f"{project}/secrets/s", "name": "robot_s"},
+        "out": {"external": True},
+    }
+    assert made.project == {
+        "configs/a": File(data=b"x$y"),
+        "configs/c": File(data=b"c"),
+        "secrets/s": File(data=b"t$", mode=0o600),
+    }
+    assert "t$" not in made.compose
+
+
+def test_a_variable_without_a_value_stays_unset() -> None:
+    """The login's own shell on the robot must not give one."""
+    assert node(release({"environment": {"A": None, "B": ""}}))["environment"] == {"B": ""}
+
+
+def test_each_ingredient_changes_the_id() -> None:
+    """Model, image, files, seeds, folders, a secret's value: none may change unseen."""
+    other = replace(IMAGE, identity="linux/arm64\nlayer sha256:bb")
+    made = [
+        release(),
+        release({"user": "7"}),
+        release(image=other),
+        release(files=ProjectFiles(files={"a": File(data=b"1")})),
+        release(files=ProjectFiles(files={"a": File(data=b"1", mode=0o755)})),
+        release(files=ProjectFiles(files={"a": File(link="1")})),
+        release(files=ProjectFiles(seeds={"a": File(data=b"1")})),
+        release(files=ProjectFiles(folders=("a",))),
+        *(release(secrets={"s": {"environment": "T"}}, values={"T": value}) for value in "12"),
+    ]
+    assert len({one.id for one in made}) == len(made)
+    assert all(len(one.id) == 12 for one in made)
+
+
+def test_where_it_is_made_does_not_change_the_id() -> None:
+    """The project's folder here, the image's size and order are no content."""
+    model = {"image": "x", "volumes": [{"type": "bind", "source": f"{HERE}/a", "target": "/a"}]}
+    elsewhere = Path("/var/q").joinpath(*["up"] * LEVELS) / "robot"
+    moved = json.loads(json.dumps(model).replace(HERE, str(elsewhere)))
+    ids = []
+    for folder, service in ((PROJECT.folder, model), (elsewhere, moved)):
+        project = replace(PROJECT, folder=folder)
+        stack = read(Resolved(model={"services": {"node": service}, "name": "robot"}), project)
+        ids.append(compose(robot="pi1", stack=stack, project=project, files=FILES, images={"node": IMAGE}).id)
+    assert ids[0] == ids[1]
+
+
+PROJECT_FILES = ProjectFiles(
+    files={"run": File(data=b"#!", mode=0o755), "d/link": File(link="../run"), "a b/'q' $x": File(data=b"\0\xff")},
+    seeds={"ü/nav.yaml": File(data=b"a")},
+    folders=("maps",),
+)  # fmt: skip
+
+
+def unpacked(made: Release, folder: Path) -> None:
+    with tarfile.open(fileobj=io.BytesIO(made.archive("/home/pi"))) as archive:
+        archive.extractall(folder, filter="tar")
+
+
+def test_the_archive_unpacks_as_it_was(tmp_path: Path) -> None:
+    """Bytes, modes and links; only the login reads the Compose file; the same bytes every time."""
+    made = release(files=PROJECT_FILES)
+    unpacked(made, tmp_path)
+    assert (tmp_path / "compose.yaml").stat().st_mode & 0o777 == 0o600
+    assert (tmp_path / "project/run").stat().st_mode & 0o777 == 0o755
+    assert (tmp_path / "project/d/link").readlink() == Path("../run")
+    assert (tmp_path / "project/a b/'q' $x").read_bytes() == b"\0\xff"
+    assert (tmp_path / "seeds/ü/nav.yaml").read_bytes() == b"a"
+    assert made.archive("/home/pi") == release(files=PROJECT_FILES).archive("/home/pi")
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_checksum_is_what_the_probe_finds(tmp_path: Path, shell: str) -> None:
+    """The order of names too, which may not depend on a language."""
+    names = ("ü", "Z", "a", "a-b", "a/b", "a.b", "_", "ﬀ", "𝄞")
+    files = {name if name != "a" else "a0": File(data=name.encode()) for name in names}
+    made = release(files=replace(PROJECT_FILES, files={**PROJECT_FILES.files, **files}))
+    unpacked(made, tmp_path)
+    script = "find . -type f -print | LC_ALL=C sort | tr '\\n' '\\0' | xargs -0 -r sha256sum | sha256sum"
+    argv = (shell, *(("sh",) if shell == "busybox" else ()), "-c", script)
+    found = subprocess.run(argv, cwd=tmp_path, check=True, capture_output=True, text=True).stdout.split()[0]
+    assert made.checksum("/home/pi") == found
+
+
+VALUES = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=40)
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=st.lists(VALUES, min_size=8, max_size=8))
+@example(
+    values=[
+        "$",
+        "$$",
+        "${A}",
+        "'\"",
+        "\\",
+        "\n\r\t",
+        "\x01\x1f\x7f\x85\x9f\u2028\u2029\ufeff",
+        "\ufffe\uffff𝄞",
+    ]
 )
-def test_values_are_written_as_compose_reads_them_back(value: str, written: str) -> None:
-    """One line per variable, plain where that is safe, else quoted by the rules of Compose's ``.env``."""
-    assert dotenv({"A": value, "B": "next"}) == f"A={written}\nB=next\n"
+@example(values=["null", "true", "1e3", " a ", "a: b #c", "${A:?}", "$${A}", f"{HOME}/x"])
+def test_compose_reads_the_same_values_again(tmp_path: Path, values: list[str]) -> None:
+    """Byte for byte, whatever they are: from the robot's values through both Composes into the container."""
+    names = [f"V{number}" for number in range(len(values))]
+    path = tmp_path / "compose.yaml"
+    path.write_text(f"services: {{node: {{image: x, environment: {names}}}}}")
+    given_values = dict(zip(names, values, strict=True))
+    with desktop.opened([path]) as project:
+        stack = read(desktop.resolve(project, environment=given_values), project)
+        made = compose(robot="pi1", stack=stack, project=project, files=FILES, images={"node": IMAGE})
+    there = tmp_path / "there"
+    there.mkdir(exist_ok=True)
+    (there / "compose.yaml").write_bytes(made.files("/home/pi")["compose.yaml"].data)
+    argv = (*desktop.program(), "--file", "compose.yaml", "config", "--format", "json")
+    done = subprocess.run(argv, cwd=there, env={"HOME": "/home/pi"}, check=True, capture_output=True)
+    again = json.loads(done.stdout)["services"]["node"]["environment"]
+    expected = {name: value.replace(HOME, "/home/pi") for name, value in given_values.items()}
+    assert {name: value.replace("$$", "$") for name, value in again.items()} == expected
+
+
+def test_a_path_of_data_is_a_path() -> None:
+    """The whole project as data: no dot is left in it."""
+    volumes = [{"type": "bind", "source": HERE, "target": "/ws"}]
+    made = release({"volumes": volumes}, files=ProjectFiles(data=frozenset({"."})))
+    assert node(made)["volumes"][0]["source"] == "/home/pi/.fleet/stacks/robot/data"
