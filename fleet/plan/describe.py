@@ -59,7 +59,8 @@ def _command(step: Step) -> str:
 
 
 def _shown(argument: str) -> str:
-    """A script that is a page long by its first line, which says what it does."""
-    first, _, rest = argument.partition("\n")
+    """The argument, or for a long script only its first line after ``#!``, which says what the script does."""
+    script = argument.partition("\n")[2] if argument.startswith("#!") else argument
+    first, _, rest = script.partition("\n")
     count = rest.count("\n") + 1
     return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

@@ -181,12 +181,12 @@ def test_notes_that_are_none_are_written_again(tmp_path: Path, name: str, text: 
     assert set(desk.cache.pack(TALKER.image, TALKER.diff_ids, "gzip")) == set(TALKER.diff_ids)
 
 
-def test_a_piece_that_is_gone_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_layer_that_was_removed_when_it_is_needed(tmp_path: Path) -> None:
     """One sentence, and its cure."""
     desk = Desk(tmp_path, TALKER)
     with pytest.raises(DesktopError) as caught:
         desk.cache.open("f" * 64)
-    assert caught.value.what == f"a packed layer is gone from {desk.folder}: No such file or directory"
+    assert caught.value.what == f"a packed layer was removed from {desk.folder}: No such file or directory"
     assert caught.value.cure == "run the same command again"
 
 
@@ -198,11 +198,11 @@ SAVED = TALKER.saved("plain blobs")
     [
         (SAVED[: len(SAVED) // 3], "packing layers for sending failed: unexpected end of data"),
         (b"no tar at all", "packing layers for sending failed: "),
-        (tar({}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"[]"}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"7"}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"{"}), "the archive of talker:latest-amd64 names no configuration"),
-        (Handmade(layers=(BASE,)).saved(), "the archive of talker:latest-amd64 lacks layers"),
+        (tar({}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"[]"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"7"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"{"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (Handmade(layers=(BASE,)).saved(), "layers are missing in the archive of talker:latest-amd64"),
         (tar({"x": b"\x1f\x8b damaged"}), "packing layers for sending failed: "),
         (tar({"x": b"\x28\xb5\x2f\xfd damaged"}), "packing layers for sending failed: "),
     ],
@@ -222,7 +222,7 @@ def test_a_cache_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(DesktopError) as caught:
         Desk(tmp_path, TALKER).cache.pack(TALKER.image, TALKER.diff_ids, "gzip")
     assert caught.value.what.startswith("packing layers for sending failed: ")
-    assert caught.value.cure == "is there room in ~/.cache?"
+    assert caught.value.cure == "check that ~/.cache has free disk space"
 
 
 def test_tidying_keeps_what_was_used_last(tmp_path: Path) -> None:
@@ -286,9 +286,11 @@ def test_out_of_the_engine_of_this_computer(tmp_path: Path) -> None:
         engine.clear()
 
 
-@pytest.mark.parametrize(("said", "where"), [("", ".cache"), ("other", "other")])
-def test_where_the_cache_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, where: str) -> None:
+@pytest.mark.parametrize(("variable", "where"), [("", ".cache"), ("other", "other")])
+def test_where_the_cache_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, where: str
+) -> None:
     """In the login's own, unless XDG_CACHE_HOME says another place."""
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("XDG_CACHE_HOME", said and str(tmp_path / said))
+    monkeypatch.setenv("XDG_CACHE_HOME", variable and str(tmp_path / variable))
     assert layer_cache.folder() == tmp_path / where / "fleet/layers"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from fleet.images.layer import Blob
-from fleet.transfer.load_archive import BLOCK, ArchiveSkeleton, StoredManifest, TargetImage, frame
+from fleet.transfer.load_archive import BLOCK, ArchiveSkeleton, StoredManifest, TargetImage, skeleton
 from tests.support.handmade import Handmade, digest, layer, packed
 
 if TYPE_CHECKING:
@@ -23,11 +23,13 @@ BLOBS = {diff_id: blob for diff_id, (blob, _) in CONTENTS.items()}
 
 
 def framed(*images: Handmade, sent: Sequence[bytes], blobs: Mapping[str, Blob] = BLOBS) -> ArchiveSkeleton:
-    return frame([image.wanted for image in images], blobs=blobs, sent=[BLOBS[digest(data)] for data in sent])
+    return skeleton(
+        [image.wanted for image in images], blobs=blobs, sent=[BLOBS[digest(data)] for data in sent]
+    )
 
 
 def put_together(made: ArchiveSkeleton, sent: Sequence[bytes]) -> bytes:
-    """The archive, as a robot makes it of the frame and the packed layers: what `receive.SCRIPT` says in shell."""
+    """The archive, as a robot makes it of the skeleton and the packed layers, like ``receive.sh``."""
     whole = b""
     for count, data in enumerate(sent):
         content = CONTENTS[digest(data)][1]
@@ -69,7 +71,7 @@ def test_an_image_without_layers_byte_for_byte() -> None:
             *member("manifest.json", listing.encode()),
         )
     )
-    made = frame([bare], blobs={}, sent=[])
+    made = skeleton([bare], blobs={}, sent=[])
     assert made.data == expected
     assert made.hex == hashlib.sha256(expected).hexdigest()
 
@@ -151,7 +153,7 @@ def test_layers_that_are_left_out_are_named_all_the_same() -> None:
     assert len(whole) == 6
     (entry,) = json.loads(whole["manifest.json"])
     assert entry["Layers"] == [f"blobs/sha256/{BLOBS[one].hex}" for one in ONE.diff_ids]
-    manifest = json.loads(made.data[made.receipts[0].offset :][: made.receipts[0].length])
+    manifest = json.loads(made.data[made.manifests[0].offset :][: made.manifests[0].length])
     assert [one["digest"] for one in manifest["layers"]] == [BLOBS[one].digest for one in ONE.diff_ids]
 
 
@@ -187,18 +189,18 @@ def test_two_images_of_one_configuration() -> None:
         assert len(opened.getnames()) == 2 + 2 * 2 + 3
 
 
-def test_a_receipt_says_what_the_image_will_be_called_and_where_its_manifest_lies() -> None:
-    """A classic store names it by its configuration, containerd by the manifest, whose bytes are in the frame."""
+def test_the_ids_of_an_image_and_the_place_of_its_manifest_are_known() -> None:
+    """A classic store names it by its configuration, containerd by the manifest, whose bytes are in the skeleton."""
     made = framed(ONE, TWO, sent=[BASE, CODE, OTHER])
-    for receipt, image in zip(made.receipts, (ONE, TWO), strict=True):
-        manifest = made.data[receipt.offset :][: receipt.length]
-        assert receipt == StoredManifest(
+    for stored, image in zip(made.manifests, (ONE, TWO), strict=True):
+        content = made.data[stored.offset :][: stored.length]
+        assert stored == StoredManifest(
             image=image.wanted,
-            ids=(digest(image.config), digest(manifest)),
-            offset=receipt.offset,
-            length=len(manifest),
+            ids=(digest(image.config), digest(content)),
+            offset=stored.offset,
+            length=len(content),
         )
-        assert [one["digest"] for one in json.loads(manifest)["layers"]] == [
+        assert [one["digest"] for one in json.loads(content)["layers"]] == [
             BLOBS[one].digest for one in image.diff_ids
         ]
 
@@ -207,7 +209,9 @@ def test_a_receipt_says_what_the_image_will_be_called_and_where_its_manifest_lie
 def test_members_fill_whole_blocks(size: int) -> None:
     """One that is a whole block already is followed by the next header at once."""
     text = b'{"rootfs":{"diff_ids":[]}}'
-    made = frame([TargetImage(name="a:b", fingerprint="f" * 12, config=text.ljust(size))], blobs={}, sent=[])
+    made = skeleton(
+        [TargetImage(name="a:b", fingerprint="f" * 12, config=text.ljust(size))], blobs={}, sent=[]
+    )
     assert made.data[BLOCK + (size + BLOCK - 1) // BLOCK * BLOCK :].startswith(b"blobs/sha256/")
 
 
@@ -221,7 +225,7 @@ def test_the_same_images_make_the_same_bytes() -> None:
 def test_layers_of_any_size_have_a_header(size: int) -> None:
     """From 8 GiB on the octal digits of ustar are not enough."""
     big = Blob(diff_id="sha256:a", digest=f"sha256:{'a' * 64}", size=size, media_type="")
-    head = frame([], blobs={}, sent=[big]).data[:BLOCK]
+    head = skeleton([], blobs={}, sent=[big]).data[:BLOCK]
     read = tarfile.TarInfo.frombuf(head, "utf-8", "strict")
     assert (read.name, read.size, read.type) == (f"blobs/sha256/{'a' * 64}", size, tarfile.REGTYPE)
 
