@@ -80,9 +80,9 @@ def read_file(path: str, start: int, count: int) -> Iterator[bytes]:
     try:
         with open(path, "rb") as file:  # noqa: PTH123 - a Path each for 100,000 files needs memory
             file.seek(start)
-            while count and (piece := file.read(min(count, CHUNK))):
-                count -= len(piece)
-                yield piece
+            while count and (chunk := file.read(min(count, CHUNK))):
+                count -= len(chunk)
+                yield chunk
     except (FileNotFoundError, NotADirectoryError) as problem:
         raise Problem(f"{path} of the old layer is missing") from problem
     if count:
@@ -145,8 +145,8 @@ def from_file(paths: list[str], directory: Path) -> Layer:
         file.seek(0)
         if first[:2] == b"\x1f\x8b" or first == b"\x28\xb5\x2f\xfd":
             with scratch(directory) as plain:
-                for piece in inflated(file) if first[:2] == b"\x1f\x8b" else unzstd(file, size):
-                    plain.write(piece)
+                for chunk in inflated(file) if first[:2] == b"\x1f\x8b" else unzstd(file, size):
+                    plain.write(chunk)
                 size = plain.tell()
                 # The descriptor stays open until this program ends.
                 path = f"/proc/self/fd/{os.dup(plain.fileno())}"
@@ -197,9 +197,9 @@ def unzstd(packed: IO[bytes], count: int, *, against: IO[bytes] | None = None) -
 def feed(pipe: IO[bytes], packed: IO[bytes], count: int) -> None:
     """Write up to ``count`` bytes of a file to a program, which may end before it has read them."""
     with contextlib.suppress(BrokenPipeError), pipe:
-        while count and (piece := packed.read(min(count, 1 << 16))):
-            pipe.write(piece)
-            count -= len(piece)
+        while count and (chunk := packed.read(min(count, 1 << 16))):
+            pipe.write(chunk)
+            count -= len(chunk)
 
 
 def rebuilt(old: Layer, patch: IO[bytes], directory: Path) -> Iterator[bytes]:
@@ -218,12 +218,12 @@ def rebuilt(old: Layer, patch: IO[bytes], directory: Path) -> Iterator[bytes]:
         if not 0 < new_length <= min(SEGMENT, left) or length > RANGE or start + length > old.size:
             raise Problem("the patch is damaged: its ranges are impossible")
         left -= new_length
-        pieces = old.read(start, length)
-        for piece in unpacked(pieces, patch, packed, directory) if packed else pieces:
-            new_length -= len(piece)
+        chunks = old.read(start, length)
+        for chunk in unpacked(chunks, patch, packed, directory) if packed else chunks:
+            new_length -= len(chunk)
             if new_length < 0:
                 break
-            yield piece
+            yield chunk
         if new_length:
             raise Problem("the patch is damaged: a segment has the wrong length")
     if patch.read(1):
@@ -233,18 +233,18 @@ def rebuilt(old: Layer, patch: IO[bytes], directory: Path) -> Iterator[bytes]:
 def unpacked(old: Iterator[bytes], patch: IO[bytes], count: int, directory: Path) -> Iterator[bytes]:
     """Yield the segment that the next ``count`` bytes of the patch make from an old range. Raises `Problem`."""
     with scratch(scratch_directory(directory)) as reference:
-        for piece in old:
-            reference.write(piece)
+        for chunk in old:
+            reference.write(chunk)
         yield from unzstd(patch, count, against=reference if reference.tell() else None)
 
 
-def deliver(pieces: Iterable[bytes], wanted: str, out: IO[bytes]) -> None:
+def deliver(chunks: Iterable[bytes], wanted: str, out: IO[bytes]) -> None:
     """Write a layer, and its last chunk only if the SHA-256 is ``wanted``. Raises `Problem`."""
     sha256, held = hashlib.sha256(), b""
-    for piece in filter(None, pieces):
-        sha256.update(piece)
+    for chunk in filter(None, chunks):
+        sha256.update(chunk)
         out.write(held)
-        held = piece
+        held = chunk
     if sha256.hexdigest() != wanted:
         raise Problem(f"the rebuilt layer is sha256:{sha256.hexdigest()}, not sha256:{wanted}")
     out.write(held)

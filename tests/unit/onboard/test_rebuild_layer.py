@@ -324,7 +324,7 @@ def test_every_range_of_a_classic_store(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["gone", "short", "no JSON", "no gzip", "cut"])
 def test_a_classic_store_that_is_damaged(robot: Robot, tmp_path: Path, damage: str) -> None:
-    """Files that somebody removed or changed, and broken books: no layer, and a sentence."""
+    """Files that were removed or changed, and broken records: no layer, and one error line."""
     store(tmp_path / "root", OLD)
     books = tmp_path / "root/image/overlay2/layerdb/sha256" / CHAIN[7:] / "tar-split.json.gz"
     file = tmp_path / "root/overlay2/cafe/diff/usr/lib/3"
@@ -346,7 +346,7 @@ def test_a_classic_store_that_is_damaged(robot: Robot, tmp_path: Path, damage: s
 
 
 def test_a_classic_store_without_that_layer(robot: Robot, tmp_path: Path) -> None:
-    """Another exit code than damage: another way to send may help."""
+    """Another exit code than damage: another strategy may help."""
     assert robot.run(old=chain(tmp_path)).returncode == exit_codes.MISSING
 
 

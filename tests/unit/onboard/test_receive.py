@@ -305,7 +305,7 @@ def test_bytes_that_are_wrong_when_they_come_are_not_used(pi: Pi, number: int) -
 
 
 def test_a_desktop_that_goes_away_leaves_what_it_sent(pi: Pi) -> None:
-    """After Ctrl-C its input is closed: all bytes are kept, and nobody is kept waiting."""
+    """After Ctrl-C its input is closed: all bytes are kept, and the next transfer need not wait."""
     sent = load(image(pi))
     running = pi.begin(sent)
     running.feed(len(sent.skeleton.data) + 1234)
@@ -357,7 +357,7 @@ def test_a_second_transfer_goes_on_when_the_first_has_ended(pi: Pi) -> None:
 def test_whose_place_is_taken(
     pi: Pi, monkeypatch: pytest.MonkeyPatch, token: str, old: bool, taken: bool
 ) -> None:
-    """That of an earlier connection of the same run at once; somebody else's when nothing has come for a minute."""
+    """That of an earlier connection of the same run at once; that of another run after a minute without bytes."""
     shorten(monkeypatch, 5)
     sent = load(image(pi, layer(uuid.uuid4().int, size=200_000)))
     first = pi.begin(sent)
@@ -437,7 +437,7 @@ def test_layers_that_are_there_need_not_be_sent(pi: Pi) -> None:
 
 
 def test_layers_that_were_left_out_and_are_not_there_are_noticed(pi: Pi) -> None:
-    """Somebody pruned since the robot was looked at: no image has got the name, and another way may help."""
+    """The robot was pruned after its layers were listed: no image gets the name, and another strategy may help."""
     base = fresh()
     code, complaint, _, lines = pi.ship(load(image(pi, base, fresh()), without=(base,)))
     assert (code, lines[-1]) == (65, "enough")
@@ -484,7 +484,7 @@ def test_a_robot_that_lost_power_in_the_middle_of_the_proof(pi: Pi) -> None:
 
 
 def test_the_proof_of_an_image_with_a_volume_leaves_none(pi: Pi) -> None:
-    """Docker makes the volume with the container, and keeps it when that goes unless it is told."""
+    """Docker makes the volume with the container, and keeps it without `--volumes`."""
     mounts = "{{range .Mounts}}{{.Name}}{{end}}"
     note = f"id=$(docker \"$@\") && docker inspect --format '{mounts}' $id > '{pi.home}/volume'; echo $id"
     pi.docker("create", note)
@@ -514,7 +514,7 @@ def test_an_image_that_arrives_as_another_gets_no_name(pi: Pi) -> None:
     ],
 )
 def test_an_engine_that_fails(pi: Pi, script: str, code: int, complaint: str, loads: int) -> None:
-    """A containerd store says success of a broken image; another way helps against all but a full disk."""
+    """A containerd store says success of a broken image; another strategy helps against all but a full disk."""
     pi.docker("load", f"echo >> '{pi.home}/loads'; cat > /dev/null; {script}")
     exit_code, error, _, _ = pi.ship(load(image(pi)))
     assert exit_code == code
@@ -533,7 +533,7 @@ def test_an_engine_that_restarts_is_given_it_once_more(pi: Pi) -> None:
 
 
 def test_what_is_there_is_not_asked_for_again(pi: Pi) -> None:
-    """The link was lost after the load, before the robot could say so; or somebody else has shipped the same."""
+    """The connection dropped after the load, before the robot could report it; or another desktop has shipped the same."""
     sent = load(image(pi))
     assert pi.ship(sent)[0] == 0
     code, _, count, lines = pi.ship(sent)

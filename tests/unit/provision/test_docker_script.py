@@ -178,7 +178,7 @@ def test_a_pinned_script_passes(tmp_path: Path) -> None:
 
 
 def test_another_script_than_the_pinned_one_is_refused(tmp_path: Path) -> None:
-    """Its own checksum is told, so that a person who has read it can pin it."""
+    """The error names its checksum, so that a user who has read it can pin it."""
     (tmp_path / "x.sh").write_bytes(GOOD)
     with pytest.raises(UsageError, match=hashlib.sha256(GOOD).hexdigest()):
         fetched("x.sh", tmp_path, sha256="0" * 64)

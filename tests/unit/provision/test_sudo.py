@@ -8,7 +8,7 @@ from fleet.robot.facts import Facts
 
 
 def test_sudo_is_told_not_to_ask() -> None:
-    """A question that nobody sees would hang."""
+    """A prompt for a password would hang."""
     assert sudo.as_root(Facts(sudo="free"), "date") == ("sudo", "-n", "date")
 
 

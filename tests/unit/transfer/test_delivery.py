@@ -125,16 +125,16 @@ def test_the_ladder() -> None:
 
 def test_the_layers_of_an_image() -> None:
     """The skeleton and each layer are uploads of one batch; then the image is proved under its name."""
-    made = delivered(robot())
+    delivered_ = delivered(robot())
     skeleton = load_archive.skeleton([TALKER.wanted], blobs=BLOBS, sent=[BLOBS[LOW], BLOBS[HIGH]])
-    first, *others = batch(made).pieces
+    first, *others = batch(delivered_).pieces
     assert (first.data, first.digest, first.size) == (skeleton.data, skeleton.hex, len(skeleton.data))
     assert [(upload.digest, upload.size, upload.data) for upload in others] == [
         (BLOBS[one].hex, BLOBS[one].size, None) for one in (LOW, HIGH)
     ]
-    assert made.steps == (
+    assert delivered_.steps == (
         receive.step(
-            batch(made),
+            batch(delivered_),
             skeleton,
             [BLOBS[LOW], BLOBS[HIGH]],
             {},
@@ -143,13 +143,13 @@ def test_the_layers_of_an_image() -> None:
         ),
         PROVE,
     )
-    assert (batch(made).to, batch(made).label) == ("pi1.local", "2 of 2 layers")
+    assert (batch(delivered_).to, batch(delivered_).label) == ("pi1.local", "2 of 2 layers")
 
 
 def test_layers_that_are_there_are_named_by_what_the_robot_knows() -> None:
     """On containerd's store by the blob of its recorded manifest, which is not sent."""
     known = replace(BLOBS[LOW], digest=f"sha256:{'e' * 64}")
-    made = delivery.layers(
+    delivered_ = delivery.layers(
         [(TALKER.image, TALKER.wanted)],
         missing=MissingLayers(send=(HIGH,), there={LOW: known}, layers=2),
         packed={HIGH: BLOBS[HIGH]},
@@ -160,7 +160,7 @@ def test_layers_that_are_there_are_named_by_what_the_robot_knows() -> None:
     skeleton = load_archive.skeleton(
         [TALKER.wanted], blobs={LOW: known, HIGH: BLOBS[HIGH]}, sent=[BLOBS[HIGH]]
     )
-    assert [upload.digest for upload in batch(made).pieces] == [skeleton.hex, BLOBS[HIGH].hex]
+    assert [upload.digest for upload in batch(delivered_).pieces] == [skeleton.hex, BLOBS[HIGH].hex]
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,10 @@ def test_the_forecast(send: tuple[str, ...], rate: float | None, says: str) -> N
 )
 def test_the_forecast_of_the_disk(containerd: bool, afterwards: str) -> None:
     """A containerd store keeps the packed layers beside the others."""
-    made = delivered(robot(containerd=containerd, disk_free=10**10), unpacked=100_000_000, size=100_000_000)
-    assert made.forecast.endswith(f"; disk: 10.0 GB free, {afterwards}")
+    delivered_ = delivered(
+        robot(containerd=containerd, disk_free=10**10), unpacked=100_000_000, size=100_000_000
+    )
+    assert delivered_.forecast.endswith(f"; disk: 10.0 GB free, {afterwards}")
 
 
 @pytest.mark.parametrize(
@@ -197,11 +199,11 @@ def test_the_forecast_of_the_disk(containerd: bool, afterwards: str) -> None:
 )
 def test_what_has_arrived_already_is_not_counted(spooled: int, there: int, earlier: str) -> None:
     """The robot's spool holds it, and no more than all of it."""
-    made = delivered(robot(stock=ImageStore(spool={BLOBS[LOW].hex: spooled})))
-    assert [upload.there for upload in batch(made).pieces] == [0, there, 0]
-    assert batch(made).size == batch(delivered(robot())).size - there
-    assert f"{earlier}; disk" in made.forecast
-    assert bool(earlier) == ("earlier" in made.forecast)
+    delivered_ = delivered(robot(stock=ImageStore(spool={BLOBS[LOW].hex: spooled})))
+    assert [upload.there for upload in batch(delivered_).pieces] == [0, there, 0]
+    assert batch(delivered_).size == batch(delivered(robot())).size - there
+    assert f"{earlier}; disk" in delivered_.forecast
+    assert bool(earlier) == ("earlier" in delivered_.forecast)
 
 
 def test_room_is_needed_for_the_spool_dockers_copy_and_the_layers() -> None:
@@ -225,7 +227,7 @@ def test_room_is_needed_for_the_spool_dockers_copy_and_the_layers() -> None:
 
 def test_whole_images_as_a_stream() -> None:
     """The strategy that always works: each image is loaded under its name and proved."""
-    made = delivery.stream([TALKER.image], facts=robot())
+    delivered_ = delivery.stream([TALKER.image], facts=robot())
     load = Step(
         title=f"load {TALKER.image.shipped_as}",
         argv=("docker", "load", "--quiet"),
@@ -236,7 +238,9 @@ def test_whole_images_as_a_stream() -> None:
         harmless=True,
         resumes=True,
     )
-    assert made == Delivery(steps=(load, PROVE), forecast="sends 102 kB, whole images", way="whole images")
+    assert delivered_ == Delivery(
+        steps=(load, PROVE), forecast="sends 102 kB, whole images", way="whole images"
+    )
 
 
 def test_room_for_whole_images() -> None:
@@ -255,7 +259,7 @@ def test_a_layer_under_two_diff_ids_is_one_upload() -> None:
     same = Blob(
         diff_id=HIGH, digest=BLOBS[LOW].digest, size=BLOBS[LOW].size, media_type=BLOBS[LOW].media_type
     )
-    made = delivery.layers(
+    delivered_ = delivery.layers(
         [(TALKER.image, TALKER.wanted)],
         missing=MissingLayers(send=(LOW, HIGH), there={}, layers=2),
         packed={LOW: BLOBS[LOW], HIGH: same},
@@ -263,7 +267,7 @@ def test_a_layer_under_two_diff_ids_is_one_upload() -> None:
         rebuilt={},
         run=RUN,
     )
-    assert len(batch(made).pieces) == 2
+    assert len(batch(delivered_).pieces) == 2
 
 
 @pytest.mark.parametrize(
@@ -295,6 +299,6 @@ def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sud
     ],
 )
 def test_when_rebuilding_is_faster(size: int, patch: int, rate: float | None, saved: bool) -> None:
-    """Two seconds, and one for each 15 MB that are made, against what need not be sent; an unknown link is a fair Wi-Fi."""
+    """Two seconds, and one for each 15 MB that are rebuilt, against what need not be sent; an unknown link is a fair Wi-Fi."""
     blob = replace(BLOBS[LOW], size=size, unpacked=45_000_000)
     assert delivery.rebuilding_is_faster(blob, patch=patch, rate=rate) == saved

@@ -124,7 +124,7 @@ def test_what_robots_have_in_common_is_prepared_once(desk: Desk) -> None:
 
 
 def test_a_plain_stream_needs_no_packing(desk: Desk) -> None:
-    """The last way is Docker's own from end to end."""
+    """The last strategy uses only Docker from end to end."""
     assert desk.deliver(TALKER, CAMERA, strategy="plain stream") == delivery.stream(
         [TALKER.image, CAMERA.image], facts=robot()
     )
@@ -177,7 +177,7 @@ def test_a_batch_is_served_and_the_rate_is_recorded(desk: Desk) -> None:
 
 
 def test_whole_images_are_read_out_of_docker(desk: Desk) -> None:
-    """That is the last way; what a plan carries itself needs no sender."""
+    """That is the last strategy; bytes that a plan contains need no sender."""
     assert desk.sender.open(ImageArchive(image="talker", reference="talker:fleet-1", size=9)) == [b"opened"]
     assert desk.opened == [("talker", "talker:fleet-1")]
     with pytest.raises(TypeError, match="3 files needs no sender"):
