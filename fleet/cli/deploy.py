@@ -119,7 +119,7 @@ def ship(
     fleet, robots = select(inventory, hosts)
     stack = stack_module.read_stack(fleet.stack)
     pace = RateLimiter(bytes_per_second(limit))
-    with image.Store() as store, Sender.using(store, pace=pace, by=whoami()) as sender:
+    with image.Store() as store, Sender.using(store, limiter=pace, by=whoami()) as sender:
         composed = {
             robot: release_module.compose(robot=robot, stack=stack, find=store.find) for robot in robots
         }
@@ -128,7 +128,7 @@ def ship(
             readiness.ready(facts, robot=robot)
             release = composed[robot]
             missing = ship_module.missing(release, facts)
-            delivery = sender.deliver(missing, robot=robot, facts=facts, way=way)
+            delivery = sender.deliver(missing, robot=robot, facts=facts, strategy=way)
             return ship_module.plan(
                 robot=robot, release=release, facts=facts, delivery=delivery, by=whoami(), keep=keep
             )

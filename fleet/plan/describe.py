@@ -60,8 +60,8 @@ def _command(step: Step) -> str:
 
 
 def _shown(argument: str) -> str:
-    """A file of ``onboard/`` by its second line, which says what it does; another long script by its first."""
-    first, *rest = argument.splitlines()[argument.startswith("#!") :] or [""]
-    if argument.startswith("#!") or len(rest) > LONG_SCRIPT:
-        return f"{first} [{len(rest)} more lines: --dry --json]"
-    return argument
+    """The argument, or for a long script only its first line after ``#!``, which says what the script does."""
+    script = argument.partition("\n")[2] if argument.startswith("#!") else argument
+    first, _, rest = script.partition("\n")
+    count = rest.count("\n") + 1
+    return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

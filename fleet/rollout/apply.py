@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from fleet import terminal
 from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
+from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
@@ -34,9 +35,6 @@ RETRY_FOR = 180.0
 
 _PAUSES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 """Seconds between attempts to connect again; the last one for all that follow."""
-
-UNUSABLE = 65
-"""The exit code of commands that got all they were to get, and cannot use it (sysexits.h, EX_DATAERR)."""
 
 
 @runtime_checkable

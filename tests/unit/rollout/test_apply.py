@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.errors import DesktopError, Unreachable
+from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step
 from fleet.rollout import apply as applying
-from fleet.rollout.apply import UNUSABLE, apply, look
+from fleet.rollout.apply import apply, look
 from fleet.rollout.link import Link
 from fleet.rollout.pool import each
 from tests.support.homes import Home, Told, start
