@@ -185,18 +185,18 @@ class Lines:
     ) -> None:
         pass
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
         """See `fleet.rollout.progress.Progress`."""
         self._screen.say(f"{robot}: {title}" + (f" ({human_bytes(size)})" if size else ""))
 
-    def sent(self, robot: str, count: int) -> None:
+    def bytes_sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.progress.Progress`."""
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         """See `fleet.rollout.progress.Progress`."""
         self._screen.say(f"{robot}: {text}")
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         """See `fleet.rollout.progress.Progress`."""
         self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
 
@@ -241,23 +241,23 @@ class Bars:
     ) -> None:
         self._moving.stop()
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(robot)
             self._tasks[robot] = self._moving.add_task(title, total=size, robot=robot)
 
-    def sent(self, robot: str, count: int) -> None:
+    def bytes_sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             if robot in self._tasks:  # bytes may leave after Ctrl-C has ended it
                 self._moving.advance(self._tasks[robot], count)
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         """See `fleet.rollout.progress.Progress`."""
         self._moving.console.print(_text(f"{robot}: {text}"), soft_wrap=True)
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(outcome.robot)

@@ -46,8 +46,8 @@ def trust(
     refuses robots whose key is unknown or has changed.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    with screen.progress() as show:
-        offers, missing = trusting.look(robots, watch=show)
+    with screen.progress() as progress:
+        offers, missing = trusting.look(robots, progress=progress)
     new = trusting.to_record(offers, changed=changed)
     for offer in new:
         screen.say(offer.text())
@@ -98,14 +98,14 @@ def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: 
 @verb(
     {
         "limit": "the most all robots together may be sent: 8Mbit, or 1MB, per second",
-        "patience": "seconds to try to get a lost link back; default: 180",
+        "retry_for": "seconds to try to get a lost link back; default: 180",
         "keep": "releases that stay on a robot; default: 3",
     }
 )
 def ship(
     hosts: str = "all",
     limit: str = "",
-    patience: int = 180,
+    retry_for: int = 180,
     keep: int = prune_old.KEEP,
     dry: bool = False,
     json: bool = False,
@@ -134,7 +134,7 @@ def ship(
             )
 
         ladder = [partial(make, way=way) for way in STRATEGIES]
-        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, patience=patience)
+        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
         return run(dry=dry, json=json, screen=Screen())
 
 

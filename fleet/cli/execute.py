@@ -35,26 +35,28 @@ def execute(
     screen: Screen,
     open_feed: Opener | None = None,
     images: bool = False,
-    patience: float = RETRY_FOR,
+    retry_for: float = RETRY_FOR,
 ) -> int:
     """Look at every robot, plan for it, and carry that out, or show the plans with ``dry``. Returns the exit code.
 
     Where the robot cannot use what was sent, it is looked at again, and the next planner of ``ladder`` has its turn. With
-    ``images``, planners are told what robots hold of images; for ``patience`` see `fleet.rollout.apply.apply`.
+    ``images``, planners are told what robots hold of images; for ``retry_for`` see `fleet.rollout.apply.apply`.
     """
     plans: dict[str, Plan] = {}
 
-    with screen.progress() as show:
+    with screen.progress() as progress:
 
-        def attempt(line: Link, make: Planner) -> Outcome:
-            show.began(line.robot.name, "look at the robot", None)
-            facts = look(line, images=images, watch=show, patience=patience)
-            plan = plans[line.robot.name] = make(line.robot, facts)
+        def attempt(link: Link, make: Planner) -> Outcome:
+            progress.step_started(link.robot.name, "look at the robot", None)
+            facts = look(link, images=images, progress=progress, retry_for=retry_for)
+            plan = plans[link.robot.name] = make(link.robot, facts)
             if dry:
                 return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-            return apply(plan, line, open_feed=open_feed or refuse, watch=show, patience=patience)
+            return apply(plan, link, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for)
 
-        outcomes = each(robots, partial(_climb, ladder=ladder, attempt=attempt, watch=show), watch=show)
+        outcomes = each(
+            robots, partial(_climb, ladder=ladder, attempt=attempt, progress=progress), progress=progress
+        )
     if not dry:
         return screen.result(outcomes, json=json)
     made = [plans[robot.name] for robot in robots if robot.name in plans]
@@ -62,18 +64,18 @@ def execute(
 
 
 def _climb(
-    line: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], watch: Progress
+    link: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], progress: Progress
 ) -> Outcome:
     """Attempt one planner's way, and the next one's where a robot could not use what came."""
     first, *others = ladder
-    outcome = attempt(line, first)
+    outcome = attempt(link, first)
     sent, why = outcome.sent, ""
     for make in others:
         if not outcome.unusable:
             break
         why = outcome.reason.partition("\n")[0]
-        watch.told(line.robot.name, f"{why}; trying another way")
-        outcome = attempt(line, make)
+        progress.note(link.robot.name, f"{why}; trying another way")
+        outcome = attempt(link, make)
         sent += outcome.sent
     because = f"{outcome.way}, because {why}" if why else outcome.way
     return replace(outcome, sent=sent, way=because)
@@ -92,38 +94,38 @@ def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool
     return exit_code(bad)
 
 
-def observe(robots: Sequence[Robot], *, watch: Progress) -> dict[str, Facts | FleetError]:
+def observe(robots: Sequence[Robot], *, progress: Progress) -> dict[str, Facts | FleetError]:
     """What each robot has now, or why it cannot be told."""
     seen: dict[str, Facts | FleetError] = {}
 
-    def look(line: Link) -> Outcome:
+    def look(link: Link) -> Outcome:
         try:
-            seen[line.robot.name] = line.facts()
+            seen[link.robot.name] = link.facts()
         except FleetError as problem:
-            seen[line.robot.name] = problem
+            seen[link.robot.name] = problem
             raise
-        return Outcome(robot=line.robot.name, status="done")
+        return Outcome(robot=link.robot.name, status="done")
 
-    each(robots, look, watch=watch)
+    each(robots, look, progress=progress)
     return {robot.name: seen.get(robot.name, LinkLost("interrupted by Ctrl-C")) for robot in robots}
 
 
 def keep_observing(
-    robots: Sequence[Robot], seen: dict[str, Facts | FleetError], *, every: float, watch: Progress
+    robots: Sequence[Robot], seen: dict[str, Facts | FleetError], *, every: float, progress: Progress
 ) -> None:
     """Keep ``seen`` up to date over standing connections, until Ctrl-C; ``every`` is in seconds."""
 
-    def look(line: Link) -> Outcome:
-        while not line.closed.is_set():
+    def look(link: Link) -> Outcome:
+        while not link.closed.is_set():
             try:
-                seen[line.robot.name] = line.facts()
+                seen[link.robot.name] = link.facts()
             except FleetError as problem:
-                seen[line.robot.name] = problem
-                line.afresh()
-            line.closed.wait(every)
-        return Outcome(robot=line.robot.name, status="done")
+                seen[link.robot.name] = problem
+                link.reconnect()
+            link.closed.wait(every)
+        return Outcome(robot=link.robot.name, status="done")
 
-    each(robots, look, watch=watch, at_once=len(robots))
+    each(robots, look, progress=progress, at_once=len(robots))
 
 
 def refuse(feed: Feed) -> Iterable[bytes]:

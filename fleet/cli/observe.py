@@ -42,12 +42,12 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
     The exit code is 0 when every robot answers and all its containers are well.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    seen = observe(robots, watch=NoProgress())
+    seen = observe(robots, progress=NoProgress())
     if json:
         screen.json({name: states.record(what) for name, what in seen.items()})
     elif watch:
         with screen.live(states.COLUMNS, lambda: [states.row(name, what) for name, what in seen.items()]):
-            keep_observing(robots, seen, every=2.0, watch=NoProgress())
+            keep_observing(robots, seen, every=2.0, progress=NoProgress())
     else:
         screen.table(states.COLUMNS, [states.row(name, what) for name, what in seen.items()])
     return 0 if watch or all(states.good(what) for what in seen.values()) else 1
@@ -60,7 +60,7 @@ def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: s
     Each robot keeps its own, in ~/.fleet/history.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    seen = observe(robots, watch=NoProgress())
+    seen = observe(robots, progress=NoProgress())
     events = {name: states.events(what)[-tail:] if tail else () for name, what in seen.items()}
     if json:
         screen.json(events)
@@ -100,7 +100,7 @@ def logs(
             robot=robot, facts=facts, follow=follow, tail=tail, since=since, service=service
         )
 
-    return screen.problems(stream.logs(robots, argv, follow=follow, printer=printer, watch=NoProgress()))
+    return screen.problems(stream.logs(robots, argv, follow=follow, printer=printer, progress=NoProgress()))
 
 
 @verb(
@@ -123,7 +123,7 @@ def run(
         screen.lines(f"{robot.name}: $ {command}" for robot in robots)
         return 0
     printer = screen.prefixed([robot.name for robot in robots])
-    return screen.problems(stream.run(robots, command, limit=limit, printer=printer, watch=NoProgress()))
+    return screen.problems(stream.run(robots, command, limit=limit, printer=printer, progress=NoProgress()))
 
 
 @verb({"hosts": "one robot"})
@@ -163,7 +163,7 @@ def listen(
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])
     return screen.problems(
-        stream.topics(robots, topic, count=count, timeout=timeout, printer=printer, watch=NoProgress())
+        stream.topics(robots, topic, count=count, timeout=timeout, printer=printer, progress=NoProgress())
     )
 
 

@@ -43,9 +43,9 @@ UNUSABLE = 65
 class InteractiveFeed(Protocol):
     """Bytes to send that depend on what the robot says: it hears that, and is closed when nobody asks any more."""
 
-    tell: Callable[[str], None]
+    on_note: Callable[[str], None]
 
-    def heard(self, data: bytes) -> None:
+    def on_output(self, data: bytes) -> None:
         """Take a piece of the robot's output."""
 
     def close(self) -> None:
@@ -57,29 +57,29 @@ class InteractiveFeed(Protocol):
 
 def apply(
     plan: Plan,
-    line: Link,
+    link: Link,
     *,
     open_feed: Opener,
-    watch: Progress,
-    patience: float = RETRY_FOR,
+    progress: Progress,
+    retry_for: float = RETRY_FOR,
 ) -> Outcome:
     """Carry out one plan.
 
-    A step that can go on where it was is run again when the link comes back within ``patience`` seconds. One that fails
+    A step that can go on where it was is run again when the link comes back within ``retry_for`` seconds. One that fails
     ends the plan: why is asked, what ran before is started again, and both are told.
     """
     if not plan.steps:
         return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-    work = _Work(plan, line, open_feed=open_feed, watch=watch, patience=patience)
+    work = _Work(plan, link, open_feed=open_feed, progress=progress, retry_for=retry_for)
     if plan.forecast:
-        watch.told(plan.robot, plan.forecast)
+        progress.note(plan.robot, plan.forecast)
     touched = False
     for step in plan.steps:
         touched = touched or not step.harmless
         try:
             work.persist(step)
         except RobotError as problem:
-            outcome = _failed(plan, step, problem, line, watch=watch, touched=touched)
+            outcome = _failed(plan, step, problem, link, progress=progress, touched=touched)
             return replace(outcome, sent=work.bytes)
     for step in _note(plan, what_came="done"):
         with contextlib.suppress(
@@ -87,34 +87,34 @@ def apply(
         ):  # a robot whose disk is full cannot, and what it runs matters more
             work.persist(step, quietly=True)
     for step in plan.afterwards:
-        watch.began(plan.robot, step.title, None)
-        _ask(step, line)
+        progress.step_started(plan.robot, step.title, None)
+        _ask(step, link)
     return Outcome(robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, way=plan.way)
 
 
-def look(line: Link, *, images: bool, watch: Progress, patience: float = RETRY_FOR) -> Facts:
+def look(link: Link, *, images: bool, progress: Progress, retry_for: float = RETRY_FOR) -> Facts:
     """What a robot has now, asked again where the link is lost meanwhile.
 
     A robot that cannot be reached in the first place may be switched off: that is told at once.
     """
-    longer, reached = _RetryTimer(line, seconds=patience, watch=watch), False
+    timer, reached = _RetryTimer(link, seconds=retry_for, progress=progress), False
     while True:
         try:
-            reached = bool(line.session)
-            return line.facts(images=images)
+            reached = bool(link.session)
+            return link.facts(images=images)
         except (LinkLost, Unreachable) as problem:
             if not reached:
                 raise
-            longer.wait(problem)
+            timer.wait(problem)
 
 
 class _RetryTimer:
     """How long a link that was lost is tried again, and how often."""
 
-    def __init__(self, line: Link, *, seconds: float, watch: Progress) -> None:
-        self._line = line
+    def __init__(self, link: Link, *, seconds: float, progress: Progress) -> None:
+        self._link = link
         self._seconds = seconds
-        self._watch = watch
+        self._progress = progress
         self.renew()
 
     def renew(self) -> None:
@@ -124,11 +124,11 @@ class _RetryTimer:
     def wait(self, problem: RobotError) -> None:
         """Wait before the next attempt, which is on a new connection; raise the problem where there is to be none."""
         left = self._until - time.monotonic()
-        if left <= 0 or self._line.closed.is_set():
+        if left <= 0 or self._link.closed.is_set():
             raise problem
-        self._watch.told(self._line.robot.name, f"{problem.what}; trying again for {human_seconds(left)}")
-        self._line.afresh()
-        self._line.closed.wait(min(left, next(self._pauses, _PAUSES[-1])))
+        self._progress.note(self._link.robot.name, f"{problem.what}; trying again for {human_seconds(left)}")
+        self._link.reconnect()
+        self._link.closed.wait(min(left, next(self._pauses, _PAUSES[-1])))
 
 
 class _Work:
@@ -137,22 +137,22 @@ class _Work:
     def __init__(
         self,
         plan: Plan,
-        line: Link,
+        link: Link,
         *,
         open_feed: Opener,
-        watch: Progress,
-        patience: float,
+        progress: Progress,
+        retry_for: float,
     ) -> None:
         self._robot = plan.robot
-        self._line = line
+        self._link = link
         self._open_feed = open_feed
-        self._watch = watch
-        self._patience = patience
+        self._progress = progress
+        self._retry_for = retry_for
         self.bytes = 0
 
     def persist(self, step: Step, *, quietly: bool = False) -> None:
         """Run a step; when the link is lost under one that resumes, connect again and go on."""
-        patience = _RetryTimer(self._line, seconds=self._patience, watch=self._watch)
+        timer = _RetryTimer(self._link, seconds=self._retry_for, progress=self._progress)
         while True:
             before = self.bytes
             try:
@@ -161,44 +161,44 @@ class _Work:
                 if not step.resumes:
                     raise
                 if self.bytes > before:
-                    patience.renew()
-                patience.wait(problem)
+                    timer.renew()
+                timer.wait(problem)
 
     def _do(self, step: Step, *, quietly: bool) -> None:
         if not quietly:
-            self._watch.began(self._robot, step.title, step.feed.size if step.feed else None)
+            self._progress.step_started(self._robot, step.title, step.feed.size if step.feed else None)
         feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
-            _do(step, self._line, feed=feed, tell=self._tell)
+            _do(step, self._link, feed=feed, on_sent=self._count)
             return
-        feed.tell = lambda text: self._watch.began(self._robot, text, None)
+        feed.on_note = lambda text: self._progress.step_started(self._robot, text, None)
         try:
-            _do(step, self._line, feed=feed, tell=self._tell, heard=feed.heard)
+            _do(step, self._link, feed=feed, on_sent=self._count, on_output=feed.on_output)
         finally:
             feed.close()
 
     def _open(self, feed: Feed) -> Iterable[bytes]:
         return (feed.data,) if isinstance(feed, Bytes) else self._open_feed(feed)
 
-    def _tell(self, count: int) -> None:
+    def _count(self, count: int) -> None:
         self.bytes += count
-        self._watch.sent(self._robot, count)
+        self._progress.bytes_sent(self._robot, count)
 
 
 def _do(
     step: Step,
-    line: Link,
+    link: Link,
     *,
     feed: Iterable[bytes] | None = None,
-    tell: Callable[[int], None] | None = None,
-    heard: Callable[[bytes], None] | None = None,
+    on_sent: Callable[[int], None] | None = None,
+    on_output: Callable[[bytes], None] | None = None,
 ) -> None:
     """Run one step and believe only its proof."""
     if step.fresh_login:
-        line.afresh()
+        link.reconnect()
     nothing = None if step.until_closed else ()
     said = nothing if feed is None else feed
-    result = line.session.run(step.argv, feed=said, limit=step.limit, sent=tell, heard=heard)
+    result = link.session.run(step.argv, feed=said, limit=step.limit, on_sent=on_sent, on_output=on_output)
     output = output_of(step.argv, result, cure=step.cure)
     # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".
     if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
@@ -207,9 +207,9 @@ def _do(
 
 
 def _failed(
-    plan: Plan, step: Step, problem: RobotError, line: Link, *, watch: Progress, touched: bool
+    plan: Plan, step: Step, problem: RobotError, link: Link, *, progress: Progress, touched: bool
 ) -> Outcome:
-    reason, cure = _aftermath(plan, problem, line, watch=watch, touched=touched)
+    reason, cure = _aftermath(plan, problem, link, progress=progress, touched=touched)
     unusable = isinstance(problem, NotAsPlanned) or getattr(problem, "code", 0) == UNUSABLE
     return Outcome(
         robot=plan.robot,
@@ -222,7 +222,7 @@ def _failed(
 
 
 def _aftermath(
-    plan: Plan, problem: RobotError, line: Link, *, watch: Progress, touched: bool
+    plan: Plan, problem: RobotError, link: Link, *, progress: Progress, touched: bool
 ) -> tuple[str, str]:
     """Ask why, start what ran before (where that was ``touched``), note the failure.
 
@@ -230,28 +230,28 @@ def _aftermath(
     """
     reason = problem.what
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
-        line.afresh()
+        link.reconnect()
     if isinstance(problem, LinkLost | Unreachable):
         return reason, problem.cure or "run the same command again when the robot is back"
     for step in plan.explain if touched else ():
-        if said := _ask(step, line):
+        if said := _ask(step, link):
             reason += "\n" + said
     for step in plan.recover if touched else ():
-        watch.began(plan.robot, step.title, None)
+        progress.step_started(plan.robot, step.title, None)
         try:
-            _do(step, line)
+            _do(step, link)
             reason += f"\n(went back: {step.title})"
         except RobotError as second:
             reason += f"\nand then `{step.title}` failed: {second.what}"
     for step in _note(plan, what_came=f"failed: {problem.what}"):
-        _ask(step, line)
+        _ask(step, link)
     return reason, problem.cure
 
 
-def _ask(step: Step, line: Link) -> str:
+def _ask(step: Step, link: Link) -> str:
     try:
         # Compose writes control sequences into logs even where no terminal reads them.
-        return terminal.plain(line.session.run(step.argv, limit=step.limit).output).strip()
+        return terminal.plain(link.session.run(step.argv, limit=step.limit).output).strip()
     except RobotError:
         return ""
 

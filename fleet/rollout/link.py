@@ -35,7 +35,7 @@ class Link:
                 self._session.close()
         return self._session
 
-    def afresh(self) -> None:
+    def reconnect(self) -> None:
         """Connect anew at the next use: group membership is read at login."""
         if self._session:
             self._session.close()

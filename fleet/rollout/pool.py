@@ -30,33 +30,33 @@ def each(
     robots: Sequence[Robot],
     work: Callable[[Link], Outcome],
     *,
-    watch: Progress,
+    progress: Progress,
     at_once: int = AT_ONCE,
 ) -> tuple[Outcome, ...]:
     """Run ``work`` for every robot, at most ``at_once`` at a time; an outcome for each, in the order of ``robots``."""
-    lines = [Link(robot) for robot in robots]
+    links = [Link(robot) for robot in robots]
     todo: queue.SimpleQueue[Link] = queue.SimpleQueue()
     done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
-    for line in lines:
-        todo.put(line)
-    for _ in range(min(at_once, len(lines))):
+    for link in links:
+        todo.put(link)
+    for _ in range(min(at_once, len(links))):
         # Daemons, because Python would wait at its end for a thread that is still connecting.
         threading.Thread(target=_work_off, args=(todo, done, work), daemon=True).start()
     outcomes: dict[str, Outcome] = {}
     try:
-        _collect(done, outcomes, until=len(lines), watch=watch)
+        _collect(done, outcomes, until=len(links), progress=progress)
     except KeyboardInterrupt:
-        for line in lines:
-            line.close()
-            name = line.robot.name
+        for link in links:
+            link.close()
+            name = link.robot.name
             if name not in outcomes:
                 outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
-                watch.ended(outcomes[name])
+                progress.finished(outcomes[name])
     except BrokenPipeError:  # nobody reads any more what the robots say
-        for line in lines:
-            line.close()
+        for link in links:
+            link.close()
         raise
-    return tuple(outcomes[line.robot.name] for line in lines)
+    return tuple(outcomes[link.robot.name] for link in links)
 
 
 def _work_off(
@@ -66,15 +66,15 @@ def _work_off(
 ) -> None:
     while True:
         try:
-            line = todo.get_nowait()
+            link = todo.get_nowait()
         except queue.Empty:
             return
         try:
-            done.put(_one(line, work))
+            done.put(_one(link, work))
         except BaseException as bug:  # noqa: BLE001  raised in the thread that can show it
             done.put(bug)
         finally:
-            line.close()
+            link.close()
 
 
 def _collect(
@@ -82,7 +82,7 @@ def _collect(
     outcomes: dict[str, Outcome],
     *,
     until: int,
-    watch: Progress,
+    progress: Progress,
 ) -> None:
     bugs: list[BaseException] = []
     while len(outcomes) + len(bugs) < until:
@@ -92,7 +92,7 @@ def _collect(
             continue
         if isinstance(came, Outcome):
             outcomes[came.robot] = came
-            watch.ended(came)
+            progress.finished(came)
         elif isinstance(came, BrokenPipeError):
             raise came
         else:
@@ -101,10 +101,10 @@ def _collect(
         raise bugs[0]
 
 
-def _one(line: Link, work: Callable[[Link], Outcome]) -> Outcome:
+def _one(link: Link, work: Callable[[Link], Outcome]) -> Outcome:
     started = time.monotonic()
     try:
-        outcome = work(line)
+        outcome = work(link)
     except FleetError as problem:
-        outcome = failure(line.robot.name, problem)
+        outcome = failure(link.robot.name, problem)
     return replace(outcome, seconds=time.monotonic() - started)

@@ -11,30 +11,30 @@ if TYPE_CHECKING:
 class Progress(Protocol):
     """Whoever is told how it goes; called from many threads."""
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
         """A robot starts something; ``size`` is in bytes where bytes will flow."""
 
-    def sent(self, robot: str, count: int) -> None:
+    def bytes_sent(self, robot: str, count: int) -> None:
         """So many more bytes have left."""
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         """Something about a robot that a person may want to know, and that is no step."""
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         """A robot is through."""
 
 
 class NoProgress:
     """Progress that nobody is shown: what a verb prints tells enough."""
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
-        """See `Watch`."""
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
+        """See `Progress`."""
 
-    def sent(self, robot: str, count: int) -> None:
-        """See `Watch`."""
+    def bytes_sent(self, robot: str, count: int) -> None:
+        """See `Progress`."""
 
-    def told(self, robot: str, text: str) -> None:
-        """See `Watch`."""
+    def note(self, robot: str, text: str) -> None:
+        """See `Progress`."""
 
-    def ended(self, outcome: Outcome) -> None:
-        """See `Watch`."""
+    def finished(self, outcome: Outcome) -> None:
+        """See `Progress`."""

@@ -32,19 +32,19 @@ class Offer:
         return f"{self.robot.name}  {self.name}  {self.key.kind}  {self.key.fingerprint}  {self.verdict}"
 
 
-def look(robots: Sequence[Robot], *, watch: Progress) -> tuple[tuple[Offer, ...], tuple[Outcome, ...]]:
+def look(robots: Sequence[Robot], *, progress: Progress) -> tuple[tuple[Offer, ...], tuple[Outcome, ...]]:
     """Ask every robot for its key; nobody logs in. The offers, and the outcomes of those that cannot be reached."""
     offers: dict[str, Offer] = {}
 
-    def ask(line: Link) -> Outcome:
-        robot = line.robot
-        watch.began(robot.name, "ask for the host key", None)
+    def ask(link: Link) -> Outcome:
+        robot = link.robot
+        progress.step_started(robot.name, "ask for the host key", None)
         name, key = connect.offered_key(robot)
         known = known_hosts.read((robot.known_hosts, *openssh_config.resolve(robot).known_hosts))
         offers[robot.name] = Offer(robot=robot, name=name, key=key, verdict=known.verdict(name, key))
         return Outcome(robot=robot.name, status="done")
 
-    outcomes = each(robots, ask, watch=watch)
+    outcomes = each(robots, ask, progress=progress)
     there = tuple(offers[robot.name] for robot in robots if robot.name in offers)
     return there, tuple(outcome for outcome in outcomes if not outcome.good)
 

@@ -64,10 +64,10 @@ class Transport(Protocol):
 class ChannelPump:
     """One command's input, output and end. Make one per command; `run` once; then read `output` and `errors`."""
 
-    def __init__(self, *, channel: Channel, transport: Transport, silence: float) -> None:
+    def __init__(self, *, channel: Channel, transport: Transport, link_timeout: float) -> None:
         self._channel = channel
         self._transport = transport
-        self._silence = silence
+        self._link_timeout = link_timeout
         self._out: list[bytes] = []
         self._err: list[bytes] = []
         self._alive = time.monotonic()
@@ -90,17 +90,17 @@ class ChannelPump:
         *,
         feed: Iterable[bytes] | None,
         limit: float | None,
-        sent: OnSent | None,
-        heard: OnOutput | None,
+        on_sent: OnSent | None,
+        on_output: OnOutput | None,
     ) -> int:
         """Feed and listen until the command ends; its exit code, or -1 where a signal ended it.
 
         Whatever is raised, the connection is of no more use: close it, and the sending thread ends too.
 
         Raises:
-            LinkLost: the connection ended, or nothing was heard for the time of ``silence``.
+            LinkLost: the connection ended, or nothing was heard for the time of ``link_timeout``.
             TimedOut: the robot did not end the command at its limit.
-            Whatever iterating ``feed``, ``sent`` or ``heard`` raises.
+            Whatever iterating ``feed``, ``on_sent`` or ``on_output`` raises.
 
         """
         self._channel.settimeout(TICK)
@@ -110,14 +110,14 @@ class ChannelPump:
         elif feed is None:
             threading.Thread(target=self._beat, daemon=True).start()
         else:
-            threading.Thread(target=self._send, args=(feed, sent), daemon=True).start()
+            threading.Thread(target=self._send, args=(feed, on_sent), daemon=True).start()
         try:
-            self._listen(heard or self._out.append, deadline=deadline)
+            self._listen(on_output or self._out.append, deadline=deadline)
         finally:
             self._over.set()
         return self._code()
 
-    def _listen(self, heard: OnOutput, *, deadline: float) -> None:
+    def _listen(self, on_output: OnOutput, *, deadline: float) -> None:
         """Take what comes until the command has ended and all it wrote is here."""
         ended: float | None = None  # or when something was heard after the end
         while ended is None or self._lingers(ended):
@@ -129,7 +129,7 @@ class ChannelPump:
                 data = None
             if data:
                 self._alive = time.monotonic()
-                heard(data)
+                on_output(data)
             if self._channel.exit_status_ready():
                 if data == b"":
                     self._hear_errors()
@@ -163,7 +163,7 @@ class ChannelPump:
                 raise LinkLost("the connection was lost while the command ran", cure=AGAIN)
         return code
 
-    def _send(self, feed: Iterable[bytes], sent: OnSent | None) -> None:
+    def _send(self, feed: Iterable[bytes], on_sent: OnSent | None) -> None:
         """Send, in a thread of its own. What goes wrong is raised by the listening thread."""
         try:
             for chunk in feed:
@@ -172,8 +172,8 @@ class ChannelPump:
                     piece = view[start : start + PIECE]
                     if not self._push(piece):
                         return
-                    if sent:
-                        sent(len(piece))
+                    if on_sent:
+                        on_sent(len(piece))
         except BaseException as problem:  # noqa: BLE001  handed to the listening thread
             self._failed = problem
         else:
@@ -222,10 +222,10 @@ class ChannelPump:
                 "the command did not end at its time limit, so the connection was cut",
                 cure="is the robot busy?",
             )
-        if quiet > self._silence:
+        if quiet > self._link_timeout:
             what = f"nothing was heard from the robot for {quiet:.0f} s while the command ran"
             raise LinkLost(what, cure=AGAIN)
-        if quiet > self._silence / 3:
+        if quiet > self._link_timeout / 3:
             self._ask()
 
     def _ask(self) -> None:

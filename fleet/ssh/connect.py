@@ -37,22 +37,26 @@ if TYPE_CHECKING:
 
     Stream = socket.socket | paramiko.Channel
 
-__all__ = ["ATTEMPTS", "CONNECT", "LINK_TIMEOUT", "Result", "Session", "connect", "offered_key"]
+__all__ = ["ATTEMPTS", "CONNECT_TIMEOUT", "LINK_TIMEOUT", "Result", "Session", "connect", "offered_key"]
 
-CONNECT = 10.0
+CONNECT_TIMEOUT = 10.0
 """Seconds for a TCP connection, and again for the banner with the key exchange, and for each authentication."""
 
 LINK_TIMEOUT = 25.0
-"""Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than patience."""
+"""Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than the time that a lost link is retried."""
 
 ATTEMPTS = 6
 """A burst of connections makes an sshd drop some before its banner (MaxStartups); those are tried again."""
 
 
 def connect(
-    robot: Robot, *, patience: float = CONNECT, silence: float = LINK_TIMEOUT, config: Path | None = None
+    robot: Robot,
+    *,
+    connect_timeout: float = CONNECT_TIMEOUT,
+    link_timeout: float = LINK_TIMEOUT,
+    config: Path | None = None,
 ) -> Session:
-    """Log in to a robot. ``config`` is read in place of OpenSSH's own configuration; see `CONNECT` and `LINK_TIMEOUT`.
+    """Log in to a robot. ``config`` is read in place of OpenSSH's own configuration; see `CONNECT_TIMEOUT` and `LINK_TIMEOUT`.
 
     Raises:
         Unreachable, UntrustedHostKey, LoginRefused: each with its cause and cure.
@@ -60,18 +64,22 @@ def connect(
 
     """
     destination = openssh_config.resolve(robot, config=config)
-    way = _Way(robot.known_hosts, patience=patience, silence=silence)
+    hops = _Hops(robot.known_hosts, connect_timeout=connect_timeout, link_timeout=link_timeout)
     try:
         for stop in (*destination.via, destination):
-            way.log_in(stop, jump=stop is not destination)
+            hops.log_in(stop, jump=stop is not destination)
     except BaseException:
-        way.close()
+        hops.close()
         raise
-    return Session(chain=tuple(way.chain), silence=silence)
+    return Session(chain=tuple(hops.chain), link_timeout=link_timeout)
 
 
 def offered_key(
-    robot: Robot, *, patience: float = CONNECT, silence: float = LINK_TIMEOUT, config: Path | None = None
+    robot: Robot,
+    *,
+    connect_timeout: float = CONNECT_TIMEOUT,
+    link_timeout: float = LINK_TIMEOUT,
+    config: Path | None = None,
 ) -> tuple[str, HostKey]:
     """The name ``known_hosts`` files keep this robot under, and the key it offers now; nobody logs in to it.
 
@@ -80,10 +88,12 @@ def offered_key(
 
     """
     destination = openssh_config.resolve(robot, config=config)
-    with contextlib.closing(_Way(robot.known_hosts, patience=patience, silence=silence)) as way:
+    with contextlib.closing(
+        _Hops(robot.known_hosts, connect_timeout=connect_timeout, link_timeout=link_timeout)
+    ) as hops:
         for stop in destination.via:
-            way.log_in(stop, jump=True)
-        return destination.known_as, way.reach(destination)[0]
+            hops.log_in(stop, jump=True)
+        return destination.known_as, hops.reach(destination)[0]
 
 
 class _Transport(paramiko.Transport):
@@ -97,10 +107,10 @@ class _Transport(paramiko.Transport):
         "aes256-ctr",
     )
 
-    def __init__(self, stream: Stream, *, prefer: tuple[str, ...], patience: float) -> None:
+    def __init__(self, stream: Stream, *, prefer: tuple[str, ...], connect_timeout: float) -> None:
         super().__init__(stream)
         # `start_client` has its own limit. That must pass first: it tells an sshd that is silent from one that hangs up.
-        self.banner_timeout = self.auth_timeout = 2 * patience
+        self.banner_timeout = self.auth_timeout = 2 * connect_timeout
         usual: tuple[str, ...] = paramiko.Transport._preferred_keys  # type: ignore[attr-defined]  # noqa: SLF001
         self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in usual), *usual)))
 
@@ -130,7 +140,7 @@ class _Agent(AgentSSH):
     def __init__(self, path: str) -> None:
         super().__init__()
         sock = socket.socket(socket.AF_UNIX)
-        sock.settimeout(CONNECT)
+        sock.settimeout(CONNECT_TIMEOUT)
         try:
             sock.connect(path)
             self._connect(sock)  # type: ignore[attr-defined]
@@ -141,14 +151,14 @@ class _Agent(AgentSSH):
         self._close()  # type: ignore[attr-defined]
 
 
-class _Way:
+class _Hops:
     """The connections to a robot, each made through the one before; the last is the robot's."""
 
-    def __init__(self, recorded: Path, *, patience: float, silence: float) -> None:
+    def __init__(self, recorded: Path, *, connect_timeout: float, link_timeout: float) -> None:
         self.chain: list[_Transport] = []
         self._recorded = recorded
-        self._patience = patience
-        self._silence = silence
+        self._connect_timeout = connect_timeout
+        self._link_timeout = link_timeout
 
     def close(self) -> None:
         """End them all."""
@@ -159,10 +169,12 @@ class _Way:
         known = known_hosts.read((self._recorded, *stop.known_hosts))
         for attempt in range(1, ATTEMPTS + 1):
             stream = self._stream(stop)
-            transport = _Transport(stream, prefer=known.algorithms(stop.known_as), patience=self._patience)
+            transport = _Transport(
+                stream, prefer=known.algorithms(stop.known_as), connect_timeout=self._connect_timeout
+            )
             self.chain.append(transport)
             try:
-                transport.start_client(timeout=self._patience)
+                transport.start_client(timeout=self._connect_timeout)
                 key = transport.get_remote_server_key()
             except (paramiko.SSHException, EOFError, OSError) as problem:
                 silent = transport.is_active()
@@ -171,7 +183,7 @@ class _Way:
                 stream.close()
                 if silent or attempt == ATTEMPTS or not _was_dropped(stream, problem):
                     raise _unreachable(stop, stream, transport, problem, silent=silent) from problem
-                pause = self._patience * attempt / 10
+                pause = self._connect_timeout * attempt / 10
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
                 return HostKey(kind=key.get_name(), blob=key.asbytes()), known
@@ -204,7 +216,7 @@ class _Way:
             if not transport.is_active():
                 raise _lost(stop) from problem
             return f"{label} cannot be used ({str(problem).partition('. ')[0]})"
-        if not answered.wait(self._patience):
+        if not answered.wait(self._connect_timeout):
             raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN)
         if transport.is_authenticated():
             return ""
@@ -237,10 +249,12 @@ class _Way:
         if not self.chain:
             if stop.proxy_command:
                 return ProxySocket(stop.proxy_command)
-            return tcp.connect(stop.host, stop.port, patience=self._patience, silence=self._silence)
+            return tcp.connect(
+                stop.host, stop.port, connect_timeout=self._connect_timeout, link_timeout=self._link_timeout
+            )
         target, here = (stop.host, stop.port), ("127.0.0.1", 0)
         try:
-            return self.chain[-1].open_channel("direct-tcpip", target, here, timeout=self._patience)
+            return self.chain[-1].open_channel("direct-tcpip", target, here, timeout=self._connect_timeout)
         except (paramiko.SSHException, EOFError, OSError) as problem:
             reason = getattr(problem, "text", "") or problem
             what = f"{stop.host}:{stop.port} cannot be reached from the jump host: {reason}"

@@ -48,12 +48,12 @@ class Result:
 class Session:
     """One robot's connection. Make it with `fleet.ssh.connect.connect`; use it from one thread at a time; `close` from any.
 
-    ``chain`` are the connections, each made through the one before; the last is the robot's. ``silence`` is in seconds.
+    ``chain`` are the connections, each made through the one before; the last is the robot's. ``link_timeout`` is in seconds.
     """
 
-    def __init__(self, *, chain: tuple[Connection, ...], silence: float) -> None:
+    def __init__(self, *, chain: tuple[Connection, ...], link_timeout: float) -> None:
         self._chain = chain
-        self._silence = silence
+        self._link_timeout = link_timeout
 
     def __enter__(self) -> Self:
         return self
@@ -73,15 +73,15 @@ class Session:
         *,
         feed: Iterable[bytes] | None = (),
         limit: float | None = 60.0,
-        sent: OnSent | None = None,
-        heard: OnOutput | None = None,
+        on_sent: OnSent | None = None,
+        on_output: OnOutput | None = None,
     ) -> Result:
         """Run a command and wait for its end.
 
         ``feed`` becomes its standard input; ``None`` leaves that open until the connection closes, with
         a byte now and then as a sign of life (`fleet.ssh.channel.BEAT`). ``limit``
-        is in seconds, and kept on the robot by ``timeout``, so that nothing runs on there. ``sent`` is told the bytes
-        of each piece that left; ``heard`` is given standard output as it comes, which then is not kept.
+        is in seconds, and kept on the robot by ``timeout``, so that nothing runs on there. ``on_sent`` is told the bytes
+        of each piece that left; ``on_output`` is given standard output as it comes, which then is not kept.
 
         A feed that fails ends the connection. For the command that is the end of its input, as it is when the link is
         cut: what must arrive whole has to be proven whole.
@@ -90,15 +90,15 @@ class Session:
             LinkLost: the connection ended or fell silent.
             TimedOut: ``limit`` passed.
             NotReady: the robot starts no command.
-            Whatever ``feed``, ``sent`` or ``heard`` raise; the connection is closed then.
+            Whatever ``feed``, ``on_sent`` or ``on_output`` raise; the connection is closed then.
 
         """
         bounded = argv if limit is None else ("timeout", "-k", "5", f"{limit:.10g}", *argv)
         started = time.monotonic()
         with contextlib.closing(self._start(shlex.join(bounded))) as channel:
-            exchange = ChannelPump(channel=channel, transport=self._chain[-1], silence=self._silence)
+            pump = ChannelPump(channel=channel, transport=self._chain[-1], link_timeout=self._link_timeout)
             try:
-                code = exchange.run(feed=feed, limit=limit, sent=sent, heard=heard)
+                code = pump.run(feed=feed, limit=limit, on_sent=on_sent, on_output=on_output)
             except BaseException:
                 self.close()
                 raise
@@ -106,11 +106,11 @@ class Session:
         if limit is not None and time.monotonic() - started >= limit and code in (124, 137, 143, -1):
             what = f"`{argv[0]}` took longer than {limit:g} s and was ended on the robot"
             raise TimedOut(what, cure="is the robot overloaded?")
-        return Result(code=code, output=exchange.output, errors=exchange.errors)
+        return Result(code=code, output=pump.output, errors=pump.errors)
 
     def _start(self, command: str) -> ClosableChannel:
         # Paramiko waits without end for the answer of an sshd that is there and does nothing.
-        watchdog = threading.Timer(self._silence, self.close)
+        watchdog = threading.Timer(self._link_timeout, self.close)
         watchdog.daemon = True
         watchdog.start()
         try:

@@ -12,29 +12,29 @@ _POWER = "does it have power, and is this computer on its network?"
 _UNSENT = 256 * 1024
 
 
-def connect(host: str, port: int, *, patience: float, silence: float) -> socket.socket:
+def connect(host: str, port: int, *, connect_timeout: float, link_timeout: float) -> socket.socket:
     """A connected socket.
 
-    ``patience`` is in seconds and covers all addresses of ``host``; ``silence`` is in seconds, and how long bytes may
+    ``connect_timeout`` is in seconds and covers all addresses of ``host``; ``link_timeout`` is in seconds, and how long bytes may
     stay unacknowledged before the kernel gives the connection up.
 
     Raises:
         Unreachable: with the reason in words.
 
     """
-    sock = _open(host, port, patience=patience)
+    sock = _open(host, port, connect_timeout=connect_timeout)
     sock.settimeout(None)
-    _watch(sock, silence=silence)
+    _watch(sock, link_timeout=link_timeout)
     return sock
 
 
-def _open(host: str, port: int, *, patience: float) -> socket.socket:
+def _open(host: str, port: int, *, connect_timeout: float) -> socket.socket:
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (socket.gaierror, UnicodeError) as problem:
         cure = "is it on this network? try its IP address (.local names need avahi-daemon on the robot)"
         raise Unreachable(f"the name {host} does not resolve", cure=cure) from problem
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + connect_timeout
     for left, (family, kind, protocol, _, address) in zip(
         range(len(addresses), 0, -1), addresses, strict=True
     ):
@@ -46,32 +46,32 @@ def _open(host: str, port: int, *, patience: float) -> socket.socket:
         except OSError as problem:
             sock.close()
             if left == 1:
-                raise _explained(problem, host=host, port=port, patience=patience) from problem
+                raise _explained(problem, host=host, port=port, connect_timeout=connect_timeout) from problem
         else:
             return sock
     raise AssertionError("getaddrinfo never answers with nothing")
 
 
-def _explained(problem: OSError, *, host: str, port: int, patience: float) -> Unreachable:
+def _explained(problem: OSError, *, host: str, port: int, connect_timeout: float) -> Unreachable:
     match problem:
         case ConnectionRefusedError():
             return Unreachable(f"{host} refuses connections to port {port}", cure="is sshd running there?")
         case TimeoutError():
-            return Unreachable(f"{host} does not answer within {patience:g} s", cure=_POWER)
+            return Unreachable(f"{host} does not answer within {connect_timeout:g} s", cure=_POWER)
         case _:
             return Unreachable(f"{host} cannot be reached: {problem.strerror or problem}", cure=_POWER)
 
 
-def _watch(sock: socket.socket, *, silence: float) -> None:
+def _watch(sock: socket.socket, *, link_timeout: float) -> None:
     """Keepalive for an idle link, ``TCP_USER_TIMEOUT`` for one under load; see tcp(7)."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    every = max(1, int(silence // 5))
+    every = max(1, int(link_timeout // 5))
     wanted = {
         "TCP_KEEPIDLE": every,
         "TCP_KEEPINTVL": every,
         "TCP_KEEPCNT": 4,
         "TCP_NODELAY": 1,
-        "TCP_USER_TIMEOUT": int(silence * 1000),
+        "TCP_USER_TIMEOUT": int(link_timeout * 1000),
         # Megabytes queued here would count as sent, and a sign of life would wait behind them on a slow link.
         "TCP_NOTSENT_LOWAT": _UNSENT,
     }

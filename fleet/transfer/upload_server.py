@@ -24,7 +24,7 @@ CHUNK = 64 * 1024
 class UploadServer:
     """One parcel on its way to one robot: an iterable of the bytes to send, and a hearer of what the robot says.
 
-    ``open_piece`` opens a piece by its digest (hex). ``tell`` hears what the robot does when it no longer receives,
+    ``open_piece`` opens a piece by its digest (hex). ``on_note`` hears what the robot does when it no longer receives,
     ``ended`` to whom how many bytes went in how many seconds.
     """
 
@@ -40,9 +40,9 @@ class UploadServer:
         self._closed = False
         self.sent = 0
         self.seconds = 0.0
-        self.tell: Teller = lambda _: None
+        self.on_note: Teller = lambda _: None
 
-    def heard(self, data: bytes) -> None:
+    def on_output(self, data: bytes) -> None:
         """Take a piece of the robot's output."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -50,10 +50,10 @@ class UploadServer:
                 case ["need", digest, offset] if digest in self._pieces and offset.isdecimal():
                     self._asked.put((digest, int(offset)))
                 case ["enough"]:
-                    self.tell("load it into Docker")
+                    self.on_note("load it into Docker")
                     self._asked.put(None)
                 case ["wait", "for", *who]:
-                    self.tell(f"wait for {' '.join(who)}, who is shipping to it")
+                    self.on_note(f"wait for {' '.join(who)}, who is shipping to it")
                 case _:  # a login script's greeting
                     pass
 

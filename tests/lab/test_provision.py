@@ -38,16 +38,16 @@ class Ear:
     def __init__(self) -> None:
         self.steps: list[str] = []
 
-    def began(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
+    def step_started(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
         self.steps.append(title)
 
-    def sent(self, robot: str, count: int) -> None:
+    def bytes_sent(self, robot: str, count: int) -> None:
         pass
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         pass
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         pass
 
 
@@ -81,11 +81,11 @@ class Target:
             self.root(mended_by)
 
     def facts(self) -> Facts:
-        line = Link(self.robot)
+        link = Link(self.robot)
         try:
-            return line.facts()
+            return link.facts()
         finally:
-            line.close()
+            link.close()
 
     def plan(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> Plan:
         script = script or self.script
@@ -101,11 +101,11 @@ class Target:
 
     def provision(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> tuple[Outcome, list[str]]:
         """What became of it, and the steps that began."""
-        ear, line = Ear(), Link(self.robot)
+        ear, link = Ear(), Link(self.robot)
         try:
-            return apply(self.plan(script, bounds=bounds), line, open_feed=opened, watch=ear), ear.steps
+            return apply(self.plan(script, bounds=bounds), link, open_feed=opened, progress=ear), ear.steps
         finally:
-            line.close()
+            link.close()
 
 
 def made(name: str, directory: Path) -> Iterator[Target]:

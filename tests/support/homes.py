@@ -55,16 +55,16 @@ class Told:
         self.said: list[tuple[str, str]] = []
         self.ended_with: list[Outcome] = []
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
         self.began_with.append((robot, title, size))
 
-    def sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
+    def bytes_sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
         self.bytes += count
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         self.said.append((robot, text))
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         self.ended_with.append(outcome)
 
 

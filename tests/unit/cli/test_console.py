@@ -224,13 +224,13 @@ def test_nobody_there_is_a_no(screen: Screen, monkeypatch: pytest.MonkeyPatch) -
 
 def test_progress_where_nobody_watches_is_lines(screen: Screen) -> None:
     """One when a robot begins something, one when it is through."""
-    show = screen.progress()
-    assert isinstance(show, Lines)
-    with show:
-        show.began("pi1", "load talker", 242_000_000)
-        show.sent("pi1", 1000)
-        show.began("pi1", "start it", None)
-        show.ended(DONE)
+    progress = screen.progress()
+    assert isinstance(progress, Lines)
+    with progress:
+        progress.step_started("pi1", "load talker", 242_000_000)
+        progress.bytes_sent("pi1", 1000)
+        progress.step_started("pi1", "start it", None)
+        progress.finished(DONE)
     assert err(screen) == "pi1: load talker (242 MB)\npi1: start it\npi1: done after 8 s\n"
     assert out(screen) == ""
 
@@ -246,14 +246,14 @@ def until(seen: Callable[[], bool]) -> None:
 def test_progress_on_a_terminal_moves_and_leaves_nothing_behind() -> None:
     """Bytes, rate and time left where bytes flow; when it ends, the lines are gone."""
     console = Terminal(file=io.StringIO(), force_terminal=True, width=120, legacy_windows=False)
-    with Bars(console) as show:
-        show.began("pi1", "load [talker]", 242_000_000)
-        show.sent("pi1", 121_000_000)
+    with Bars(console) as progress:
+        progress.step_started("pi1", "load [talker]", 242_000_000)
+        progress.bytes_sent("pi1", 121_000_000)
         until(lambda: "121.0/242.0 MB" in console.file.getvalue())  # type: ignore[attr-defined]
         console.print("meanwhile")
-        show.ended(DONE)
-        show.sent("pi1", 5)
-        show.ended(GONE)
+        progress.finished(DONE)
+        progress.bytes_sent("pi1", 5)
+        progress.finished(GONE)
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "load [talker]" in text

@@ -215,7 +215,7 @@ def test_planners_are_told_of_images_where_they_ask(home: Home, screen: Screen, 
 
 def test_what_many_robots_have_now(home: Home, away: Robot) -> None:
     """Facts, or why there are none, in the order asked."""
-    seen = observe([away, home.robot], watch=Told())
+    seen = observe([away, home.robot], progress=Told())
     assert list(seen) == ["pi2", "pi1"]
     assert isinstance(seen["pi1"], Facts)
     assert isinstance(seen["pi2"], FleetError)
@@ -247,7 +247,7 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
     told: list[object] = []
     thread = threading.Thread(target=person)
     thread.start()
-    keep_observing([home.robot], seen, every=0.05, watch=Told())
+    keep_observing([home.robot], seen, every=0.05, progress=Told())
     thread.join()
     assert told == [1, None]
 

@@ -51,15 +51,15 @@ def applied(
     home: Home,
     plan: Plan,
     *,
-    watch: Told | None = None,
+    progress: Told | None = None,
     open_feed: Opener = open_bytes,
-    patience: float = 20.0,
+    retry_for: float = 20.0,
 ) -> Outcome:
-    line = Link(home.robot)
+    link = Link(home.robot)
     try:
-        return apply(plan, line, open_feed=open_feed, watch=watch or Told(), patience=patience)
+        return apply(plan, link, open_feed=open_feed, progress=progress or Told(), retry_for=retry_for)
     finally:
-        line.close()
+        link.close()
 
 
 def test_a_plan_is_carried_out_step_by_step(home: Home) -> None:
@@ -69,7 +69,9 @@ def test_a_plan_is_carried_out_step_by_step(home: Home) -> None:
         sh("cat file", title="prove", expect="hello you\n"),
     )
     told = Told()
-    outcome = applied(home, Plan(robot="pi1", summary="release abc", steps=steps, record=RECORD), watch=told)
+    outcome = applied(
+        home, Plan(robot="pi1", summary="release abc", steps=steps, record=RECORD), progress=told
+    )
     assert outcome == Outcome(robot="pi1", status="done", summary="release abc", sent=9)
     assert told.began_with == [("pi1", "write", 9), ("pi1", "prove", None)]
     assert told.bytes == 9
@@ -97,7 +99,7 @@ def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(hom
         record=RECORD,
     )
     told = Told()
-    assert applied(home, plan, watch=told) == Outcome(
+    assert applied(home, plan, progress=told) == Outcome(
         robot="pi1",
         status="failed",
         step="start it",
@@ -237,10 +239,10 @@ def test_bytes_that_cannot_be_had_here_fail_the_robot_and_not_the_program(home: 
     )
     plan = Plan(robot="pi1", summary="", steps=(step, sh("touch never")))
 
-    def work(line: Link) -> Outcome:
-        return apply(plan, line, open_feed=lambda _: broken(), watch=Told())
+    def work(link: Link) -> Outcome:
+        return apply(plan, link, open_feed=lambda _: broken(), progress=Told())
 
-    (outcome,) = each([home.robot], work, watch=Told())
+    (outcome,) = each([home.robot], work, progress=Told())
     assert (outcome.status, outcome.reason) == ("failed", "reading image talker from Docker failed: gone")
     assert outcome.cure == "see `docker info`"
     assert not (home.path / "never").exists()
@@ -255,16 +257,18 @@ def test_a_history_that_cannot_be_written_is_no_failure(home: Home) -> None:
 def test_a_robot_that_vanishes_before_a_fresh_login_is_told_so(home: Home, tmp_path: Path) -> None:
     """It was reached once, so it has failed at a step."""
     steps = (sh("touch began"), Step(title="again", argv=("true",), fresh_login=True))
-    line = Link(home.robot)
+    link = Link(home.robot)
 
     class Cutting(Told):
-        def began(self, robot: str, title: str, size: int | None) -> None:
-            super().began(robot, title, size)
+        def step_started(self, robot: str, title: str, size: int | None) -> None:
+            super().step_started(robot, title, size)
             if title == "again":
                 home.server.stop()
 
-    outcome = apply(Plan(robot="pi1", summary="", steps=steps), line, open_feed=open_bytes, watch=Cutting())
-    line.close()
+    outcome = apply(
+        Plan(robot="pi1", summary="", steps=steps), link, open_feed=open_bytes, progress=Cutting()
+    )
+    link.close()
     assert (outcome.status, outcome.step) == ("failed", "again")
     assert "refuses connections" in outcome.reason
     assert (tmp_path / "home of pi1/began").exists()
@@ -319,7 +323,7 @@ def test_a_step_that_resumes_goes_on_when_the_robot_is_back(home: Home) -> None:
         replace(sh(LASTS, title="go on", expect="through"), resumes=True),
         sh("echo >> last"),
     )
-    outcome = applied(home, Plan(robot="pi1", summary="all", steps=steps, record=RECORD), watch=told)
+    outcome = applied(home, Plan(robot="pi1", summary="all", steps=steps, record=RECORD), progress=told)
     away.end()
     assert (outcome.status, outcome.summary) == ("done", "all")
     assert away.attempts == 2
@@ -337,19 +341,19 @@ def test_a_step_that_resumes_goes_on_when_the_robot_is_back(home: Home) -> None:
 def test_a_step_that_does_not_resume_is_not_run_again(home: Home) -> None:
     """Whether it can stand that is not known."""
     away, told = Away(home, times=1), Told()
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=(sh(LASTS, title="once"),)), watch=told)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(sh(LASTS, title="once"),)), progress=told)
     away.end()
     assert (outcome.status, outcome.step, away.attempts) == ("failed", "once", 1)
     assert told.said == []
 
 
 @pytest.mark.usefixtures("hurried")
-def test_patience_ends(home: Home) -> None:
+def test_retrying_ends(home: Home) -> None:
     """A robot that stays away is told as such, and what to do."""
     away = Away(home, times=1, back=False)
     steps = (replace(sh(LASTS, title="go on"), resumes=True), sh("touch never"))
     began = time.monotonic()
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps), patience=0.5)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps), retry_for=0.5)
     away.end()
     assert time.monotonic() - began < 15
     assert (outcome.status, outcome.step, away.attempts) == ("failed", "go on", 1)
@@ -359,7 +363,7 @@ def test_patience_ends(home: Home) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
+def test_retrying_counts_from_the_last_byte_that_left(home: Home) -> None:
     """A link that is cut again and again, and carries something each time, is worth waiting for."""
     away = Away(home, times=3)
     goes_on = "cat > got; echo >> began; test $(wc -l < began) -gt 3 || sleep 20"
@@ -371,7 +375,7 @@ def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
         time.sleep(0.4)
         yield b"hello you"
 
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, patience=0.9)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, retry_for=0.9)
     away.end()
     assert (outcome.status, outcome.sent, away.attempts) == ("done", 4 * 9, 4)
 
@@ -379,10 +383,10 @@ def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
 @pytest.mark.usefixtures("hurried")
 def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
     """Its link was lost while it was asked: it is asked again, which is told."""
-    line, told = Link(home.robot), Told()
-    line.session.close()
-    assert look(line, images=False, watch=told).releases == ()
-    line.close()
+    link, told = Link(home.robot), Told()
+    link.session.close()
+    assert look(link, images=False, progress=told).releases == ()
+    link.close()
     assert told.said == [
         ("pi1", "the connection was lost before the command started; trying again for 3 min")
     ]
@@ -391,9 +395,9 @@ def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
 def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
     """It may be switched off, and others are waiting for the answer."""
     home.server.stop()
-    line, told = Link(home.robot), Told()
+    link, told = Link(home.robot), Told()
     with pytest.raises(Unreachable):
-        look(line, images=False, watch=told)
+        look(link, images=False, progress=told)
     assert told.said == []
 
 
@@ -418,7 +422,7 @@ def test_the_history_is_kept_though_the_link_is_lost(home: Home) -> None:
     thread.start()
     plan = Plan(robot="pi1", summary="", steps=(sh("mkdir .fleet && mkfifo .fleet/history"),), record=RECORD)
     told = Told()
-    outcome = applied(home, plan, watch=told)
+    outcome = applied(home, plan, progress=told)
     thread.join()
     back[0].stop()
     assert (outcome.status, len(told.said) > 0) == ("done", True)
@@ -444,7 +448,7 @@ def test_what_comes_afterwards_is_no_part_of_success(home: Home) -> None:
         record=RECORD,
         forecast="sends nothing",
     )
-    assert applied(home, plan, watch=told) == Outcome(robot="pi1", status="done", summary="release abc")
+    assert applied(home, plan, progress=told) == Outcome(robot="pi1", status="done", summary="release abc")
     assert [title for _, title, _ in told.began_with] == ["start", "remove", "forget"]
     assert told.said == [("pi1", "sends nothing")]
     assert (home.path / "removed").exists()
@@ -465,9 +469,9 @@ class Talk:
     def __init__(self) -> None:
         self.said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self.closed = False
-        self.tell: Callable[[str], None] = lambda _: None
+        self.on_note: Callable[[str], None] = lambda _: None
 
-    def heard(self, data: bytes) -> None:
+    def on_output(self, data: bytes) -> None:
         for line in data.splitlines(keepends=True):
             self.said.put(line)
 
@@ -477,7 +481,7 @@ class Talk:
 
     def __iter__(self) -> Iterator[bytes]:
         while (line := self.said.get()) != b"bye\n":
-            self.tell(f"it says {line.decode().strip()}")
+            self.on_note(f"it says {line.decode().strip()}")
             yield line.upper()
 
 
@@ -502,7 +506,7 @@ def test_a_conversation(home: Home, script: str, status: str) -> None:
         summary="",
         steps=(replace(step, feed=ImageArchive(image="talk", reference="talk", size=8)),),
     )
-    outcome = applied(home, plan, watch=told, open_feed=lambda _: talk)
+    outcome = applied(home, plan, progress=told, open_feed=lambda _: talk)
     assert (outcome.status, talk.closed) == (status, True)
     assert told.began_with[0] == ("pi1", "talk", 8)
     if "read" in script:

@@ -169,8 +169,8 @@ def test_a_parcel_is_opened_as_a_courier_that_notes_how_fast_it_went(desk: Desk)
     courier = desk.sender.open(parcel)
     assert isinstance(courier, UploadServer)
     for piece in parcel.pieces:
-        courier.heard(f"need {piece.digest} 0\n".encode())
-    courier.heard(b"enough\n")
+        courier.on_output(f"need {piece.digest} 0\n".encode())
+    courier.on_output(b"enough\n")
     assert len(b"".join(courier)) == parcel.size
     courier.sent, courier.seconds = 2_000_000, 2.0
     courier.close()

@@ -39,7 +39,7 @@ class Desk:
         self.courier = UploadServer(
             PARCEL, open_piece=self._open, pace=Noted(rate), ended=lambda *said: self.ended.append(said)
         )
-        self.courier.tell = self.told.append
+        self.courier.on_note = self.told.append
 
     def _open(self, digest: str) -> IO[bytes]:
         if digest != NAMES[1]:
@@ -49,7 +49,7 @@ class Desk:
     def answers(self, *said: bytes) -> bytes:
         """All that it sends to a robot that says these pieces, and then nothing any more."""
         for data in said:
-            self.courier.heard(data)
+            self.courier.on_output(data)
         self.courier.close()
         return b"".join(self.courier)
 
@@ -88,12 +88,12 @@ def test_a_piece_is_asked_for_after_another_was_sent() -> None:
     """It waits for the next question as long as there may be one: each side speaks in turn."""
     desk = Desk()
     flow = iter(desk.courier)
-    desk.courier.heard(need(0, 0))
+    desk.courier.on_output(need(0, 0))
     assert next(flow) == FRAME
-    later = threading.Timer(0.05, desk.courier.heard, (need(1, len(LAYER) - 3),))
+    later = threading.Timer(0.05, desk.courier.on_output, (need(1, len(LAYER) - 3),))
     later.start()
     assert next(flow) == LAYER[-3:]
-    desk.courier.heard(b"enough\n")
+    desk.courier.on_output(b"enough\n")
     assert list(flow) == []
     later.join()
 
@@ -119,7 +119,7 @@ def test_what_it_tells_of_the_link() -> None:
     """To whom how many bytes went, in the time between the first question and the last byte."""
     desk = Desk(rate=1_000_000)
     for data in (need(0, 0), need(1, 0), b"enough\n"):
-        desk.courier.heard(data)
+        desk.courier.on_output(data)
     sent = b"".join(desk.courier)
     desk.courier.close()
     ((to, count, seconds),) = desk.ended
@@ -143,7 +143,7 @@ def test_a_piece_that_is_gone_here_is_said() -> None:
         raise DesktopError("a packed layer is gone")
 
     courier = UploadServer(parcel, open_piece=gone, pace=RateLimiter(None), ended=lambda *_: None)
-    courier.heard(f"need {'f' * 64} 0\n".encode())
+    courier.on_output(f"need {'f' * 64} 0\n".encode())
     with pytest.raises(DesktopError, match="is gone"):
         list(courier)
 
