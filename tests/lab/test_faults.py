@@ -239,7 +239,7 @@ def test_a_disk_that_somebody_else_fills_half_way(project: Project, pi: Pi) -> N
             assert eventually(lambda: spooled(pi) > 5_000_000, within=60)
             pi.exec("sh", "-c", "head -c 60M /dev/zero > ~pi/.fleet/spool/lock.theirs || true")
             said = fab.end(within=60)
-        assert (said.code, said.json[0]["reason"]) == (1, "its disk is full"), said.all
+        assert (said.code, said.json[0]["reason"]) == (1, "the robot's disk is full"), said.all
         runs(pi, before["pi1"])
         pi.exec("sh", "-c", "rm ~pi/.fleet/spool/lock.theirs")
         arrived = spooled(pi)

@@ -21,7 +21,7 @@ from fleet.ssh import connect, known_hosts
 from tests.support.lab_project import LAB
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from fleet.config.inventory import Robot
@@ -37,6 +37,9 @@ class Ear:
 
     def __init__(self) -> None:
         self.steps: list[str] = []
+
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        pass
 
     def step_started(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
         self.steps.append(title)
@@ -169,7 +172,7 @@ def test_a_disk_that_fills_is_told(blank: Target) -> None:
     with blank.broken(f"mount -t tmpfs -o size=100k tmpfs {cache}", mended_by=f"umount {cache}"):
         outcome, _ = blank.provision()
     assert (outcome.status, outcome.step) == ("failed", "install Docker, which takes minutes")
-    assert outcome.reason.startswith("its disk is full")
+    assert outcome.reason.startswith("the robot's disk is full")
     assert "apt-get clean" in outcome.cure
 
 
@@ -216,9 +219,7 @@ def test_a_package_source_that_poisons_apt_is_taken_back(blank: Target) -> None:
         b"> /etc/apt/sources.list.d/docker.list\napt-get -qq update >/dev/null\n"
     )
     outcome, _ = blank.provision(poison)
-    assert outcome.reason.startswith(
-        "apt does not accept the package source http://deb.debian.org/debian nosuch"
-    )
+    assert outcome.reason.startswith("apt rejects the package source http://deb.debian.org/debian nosuch")
     assert "went back: forget Docker's package source" in outcome.reason
     assert "docker.list" not in blank.root("ls /etc/apt/sources.list.d; apt-get -qq update")
 
@@ -236,8 +237,8 @@ def test_an_apt_that_stays_locked_is_told(blank: Target) -> None:
     with blank.broken("true", mended_by="rm /root/held"):
         outcome, _ = blank.provision(bounds=apt.Bounds(patience=1, limit=60))
     assert outcome.status == "failed"
-    assert outcome.reason.startswith("another program there uses apt (python3)")
-    assert "wait until it is done" in outcome.cure
+    assert outcome.reason.startswith("another program on the robot uses apt (python3)")
+    assert "wait until it has finished" in outcome.cure
 
 
 def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
@@ -264,7 +265,7 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         assert mended(target)[:6] == [
             "keep 3 log files of 10m per container",
             "see that it reaches its package archive",
-            "finish what dpkg was stopped in",
+            "finish what dpkg was interrupted in",
             "forget Docker's package source",
             "remove docker-buildx, which clash with Docker's own packages",
             "send Docker's script " + f"({target.robot.docker.script})",
@@ -325,7 +326,7 @@ def test_an_installation_that_was_cut_off_is_finished(ready: Target) -> None:
         "systemctl stop docker docker.socket; dpkg --unpack /var/cache/apt/archives/docker.io_*.deb 2>&1"
     )
     assert ready.facts().interrupted
-    assert mended(ready) == ["finish what dpkg was stopped in", "start Docker now and at every boot"]
+    assert mended(ready) == ["finish what dpkg was interrupted in", "start Docker now and at every boot"]
 
 
 def test_settings_that_are_not_json_are_refused(ready: Target) -> None:

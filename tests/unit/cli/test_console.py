@@ -235,6 +235,17 @@ def test_progress_where_nobody_watches_is_lines(screen: Screen) -> None:
     assert out(screen) == ""
 
 
+def test_a_step_of_all_robots_is_one_line(screen: Screen) -> None:
+    """With 20 robots, 20 equal lines would hide the result; a later repetition by one robot is shown again."""
+    with screen.progress() as progress:
+        progress.announce(["pi1", "pi2"], "look at the robot")
+        for robot in ("pi1", "pi2", "pi2"):
+            progress.step_started(robot, "look at the robot", None)
+        progress.announce(["pi3"], "look at the robot")
+        progress.step_started("pi3", "look at the robot", None)
+    assert err(screen) == "2 robots: look at the robot\npi2: look at the robot\npi3: look at the robot\n"
+
+
 def until(seen: Callable[[], bool]) -> None:
     """Wait for what another thread draws ten times a second."""
     end = time.monotonic() + 10

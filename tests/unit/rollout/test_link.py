@@ -35,7 +35,7 @@ def test_a_command_that_fails_is_explained(home: Home) -> None:
     """What it means where that is known, its own last words where not, its name where it said nothing."""
     link = Link(home.robot)
     for script, what in (
-        ("echo 'write x: no space left on device' >&2; exit 3", "its disk is full"),
+        ("echo 'write x: no space left on device' >&2; exit 3", "the robot's disk is full"),
         ("echo 'some new trouble' >&2; exit 3", "some new trouble"),
         ("exit 3", "`sh` ended with code 3"),
     ):
