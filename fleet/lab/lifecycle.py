@@ -171,7 +171,7 @@ def _network(lab: str) -> IPv4Network:
         if there.split()[1:] != [lab]:
             raise DesktopError(
                 f"the Docker network {network} exists and does not belong to this lab",
-                cure=f"remove it: `docker network rm {network}`",
+                cure=f"remove it if it is not needed: `docker network rm {network}`",
             )
         return IPv4Network(there.split()[0])
     for tries_left in range(NETWORK_TRIES, 0, -1):

@@ -317,7 +317,7 @@ def _unreachable(
         what = (
             "stopped answering during the key exchange"
             if silent
-            else f"broke off the key exchange: {problem or 'it closed the connection'}"
+            else f"broke off the key exchange: {str(problem) or 'it closed the connection'}"
         )
         return Unreachable(f"{where} {what}", cure="the robot may be overloaded, or its OpenSSH very old")
     if silent:

@@ -104,7 +104,7 @@ def test_docker_that_dies_during_the_load(project: Project, pi: Pi) -> None:
 
 
 def test_ctrl_c_while_connecting(project: Project, pi: Pi) -> None:
-    """A robot that accepts the connection and says nothing does not hold the person."""
+    """A robot that accepts the connection but sends no SSH banner does not hold the person."""
     subprocess.run(("docker", "pause", pi.container), capture_output=True, check=True)
     try:
         with project.start("ship", "--hosts", "pi1") as fab:

@@ -14,7 +14,7 @@ from tests.support.samples import container, facts
 if TYPE_CHECKING:
     from fleet.robot.facts import Container, Facts
 
-GONE = Unreachable("pi1.local does not answer within 10 s", cure="does it have power?")
+GONE = Unreachable("pi1.local did not answer within 10 s", cure="does it have power?")
 WELL = facts(current="abc", releases=("abc",), containers=(container("abc"),))
 
 

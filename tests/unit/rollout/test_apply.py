@@ -181,9 +181,9 @@ def test_a_step_that_takes_too_long_is_ended_and_recovered_from(home: Home) -> N
     )
     outcome = applied(home, plan)
     assert (outcome.status, outcome.step) == ("failed", "hang")
-    assert outcome.reason == "`sh` took longer than 1 s and was ended on the robot\n(went back: back)"
+    assert outcome.reason == "`sh` took longer than 1 s and was stopped on the robot\n(went back: back)"
     assert (home.path / "recovered").exists()
-    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was ended on the robot"
+    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was stopped on the robot"
     assert home.logins == 2
 
 

@@ -167,7 +167,7 @@ def test_record_says_what_it_cannot_write(tmp_path: Path) -> None:
     ("lines", "jump", "words"),
     [
         ([], False, ["not known yet", key().fingerprint, "fab trust"]),
-        ([], True, ["not known yet", "`ssh` to that jump host once"]),
+        ([], True, ["not known yet", "connect to that jump host once with `ssh`"]),
         (
             [line("x", key(2)), line("pi1", key(2))],
             False,
