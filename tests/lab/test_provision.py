@@ -188,7 +188,7 @@ def test_no_network_is_told(blank: Target) -> None:
     ):
         outcome, _ = blank.provision()
     assert outcome.status == "failed"
-    assert outcome.reason.startswith(("it cannot find deb.debian.org", "it cannot reach"))
+    assert outcome.reason.startswith(("the robot cannot resolve deb.debian.org", "the robot cannot reach"))
     assert "internet" in outcome.cure
 
 

@@ -17,7 +17,7 @@ def home(sshds: Sshds) -> Home:
     return start(sshds, "pi1")
 
 
-def test_a_line_connects_once_and_afresh_when_asked(home: Home) -> None:
+def test_a_link_connects_once_and_again_when_asked(home: Home) -> None:
     """All commands to a robot share a connection; group membership needs a new one."""
     link = Link(home.robot)
     assert home.logins == 0

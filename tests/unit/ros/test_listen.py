@@ -172,7 +172,7 @@ def test_node_calls_itself_by_another_machines_address(outside: str) -> None:
     """An address where the robot is not is named, with the one where it is."""
     with Peers(host="127.0.0.1", called=outside).run() as peers:
         problem = failure(robot(peers.master_port, hostname=outside))
-    assert f"call it {outside}, which is not where pi1 is" in problem.what
+    assert f"registered as {outside}, which is not where pi1 is" in problem.what
     assert problem.cure.startswith("set ros.ip of pi1")
 
 
