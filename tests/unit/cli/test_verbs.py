@@ -34,13 +34,27 @@ def test_listing_verbs_loads_nothing_heavy(mine: Project) -> None:
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
-def test_each_verb_has_help_with_a_meaning_for_every_flag(verb: str) -> None:
-    """A flag without a word of explanation is a riddle."""
-    for flag in cli.ns[verb].get_arguments():
-        assert flag.help, f"{verb} --{flag.name}"
-    docstring = cli.ns[verb].__doc__ or ""
-    assert docstring.splitlines()[0].endswith(".")
-    assert len(docstring.splitlines()[0]) < 60
+def test_each_verb_has_a_short_summary(verb: str) -> None:
+    """One sentence, which fits the list of verbs."""
+    summary = (cli.ns[verb].__doc__ or "").partition("\n")[0]
+    assert summary.endswith(".")
+    assert len(summary) < 60
+
+
+def test_each_flag_has_help(mine: Project) -> None:
+    """Asked in a process of its own, because Invoke forgets a flag's help when it has been read once."""
+    script = (
+        "from fleet.cli import ns;"
+        "print([(v, f.name) for v in ns.task_names for f in ns[v].get_arguments() if not f.help])"
+    )
+    done = subprocess.run(
+        (FAB.with_name("python"), "-c", script),
+        env=mine.environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "[]\n"
 
 
 @pytest.mark.parametrize(
