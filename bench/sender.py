@@ -60,14 +60,14 @@ def _send(
     open_feed: Callable[[Feed], Iterable[bytes]],
 ) -> tuple[tuple[Outcome, ...], dict[str, float]]:
     steps = (Step(title="send", argv=tuple(argv), feed=feed, limit=None),)
-    with Screen().progress() as show:
+    with Screen().progress() as progress:
 
-        def work(line: Link) -> Outcome:
-            plan = Plan(robot=line.robot.name, summary="sent", steps=steps)
-            return apply(plan, line, open_feed=open_feed, watch=show)
+        def work(link: Link) -> Outcome:
+            plan = Plan(robot=link.robot.name, summary="sent", steps=steps)
+            return apply(plan, link, open_feed=open_feed, progress=progress)
 
         started, cpu = time.monotonic(), time.process_time()
-        outcomes = each(robots, work, watch=show)
+        outcomes = each(robots, work, progress=progress)
         return outcomes, {"seconds": time.monotonic() - started, "cpu": time.process_time() - cpu}
 
 

@@ -1,4 +1,4 @@
-"""Which verbs change robots? Each selects robots, asks another module for a plan, and shows or applies it."""
+"""Which verbs change robots? Each selects robots, asks another module for a plan, and prints or applies it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fleet.transfer.delivery import Strategy
 
 
-@verb({"yes": "record without asking", "changed": "also replace keys that have changed"})
+@verb({"yes": "record the keys without asking", "changed": "also replace recorded keys that have changed"})
 def trust(
     hosts: str = "all",
     yes: bool = False,
@@ -42,12 +42,12 @@ def trust(
 ) -> int:
     """Show the robots' host keys and record them.
 
-    Compare the fingerprints with `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` on the robot. Every other verb
-    refuses robots whose key is unknown or has changed.
+    Compare each fingerprint with the output of `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` on the robot. All
+    other verbs refuse a robot whose key is unknown or has changed.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    with screen.progress() as show:
-        offers, missing = trusting.look(robots, watch=show)
+    with screen.progress() as progress:
+        offers, missing = trusting.offered_keys(robots, progress=progress)
     new = trusting.to_record(offers, changed=changed)
     for offer in new:
         screen.say(offer.text())
@@ -60,10 +60,10 @@ def trust(
 
 @verb()
 def provision(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
-    """Install Docker on robots, and prove that it runs.
+    """Install Docker on robots and check that it works.
 
-    Sets a wrong clock, runs Docker's convenience script, adds Compose, log limits and the login's right to use Docker,
-    and runs a container. Only what is not right yet is done.
+    It corrects the clock, runs Docker's convenience script, installs the Compose plugin, limits log sizes, lets the
+    login user use Docker, and runs a test container. It skips each part that is already right.
     """
     fleet, robots = select(inventory, hosts)
     scripts = docker_script.Scripts(base=fleet.path.parent)
@@ -79,7 +79,7 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
 def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> None:
     """Build the stack's images for the robots' platforms.
 
-    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled.
+    Each image is tagged with its platform, such as talker:latest-arm64. Images of services without `build:` are pulled.
     """
     fleet, robots = select(inventory, hosts)
     screen, stack = Screen(), stack_module.read_stack(fleet.stack)
@@ -91,30 +91,30 @@ def build(hosts: str = "all", dry: bool = False, json: bool = False, inventory: 
     for command in commands:
         builds.run(command, say=screen.say)
     with image.Store() as store:
-        found = [store.find(name, platform) for platform in platforms for name in stack.images.values()]
-    screen.images(found, json=json)
+        images = [store.find(name, platform) for platform in platforms for name in stack.images.values()]
+    screen.images(images, json=json)
 
 
 @verb(
     {
-        "limit": "the most all robots together may be sent: 8Mbit, or 1MB, per second",
-        "patience": "seconds to try to get a lost link back; default: 180",
-        "keep": "releases that stay on a robot; default: 3",
+        "limit": "highest upload rate of all robots together, per second, such as 8Mbit or 1MB",
+        "retry_for": "seconds to retry a lost connection; default: 180",
+        "keep": "releases to keep on each robot; default: 3",
     }
 )
 def ship(
     hosts: str = "all",
     limit: str = "",
-    patience: int = 180,
+    retry_for: int = 180,
     keep: int = prune_old.KEEP,
     dry: bool = False,
     json: bool = False,
     inventory: str = "",
 ) -> int:
-    """Send what is missing of the images, and start them.
+    """Send the missing parts of the images and start them.
 
-    Waits until every container is healthy; where one does not start, the release before it runs again. What a lost link
-    cut off is gone on with. A second run changes nothing.
+    It waits until every container is healthy. If a container does not start, the previous release is started again. If
+    the connection drops, the transfer resumes where it stopped. A second run changes nothing.
     """
     fleet, robots = select(inventory, hosts)
     stack = stack_module.read_stack(fleet.stack)
@@ -134,11 +134,11 @@ def ship(
             )
 
         ladder = [partial(make, way=way) for way in STRATEGIES]
-        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, patience=patience)
+        run = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
         return run(dry=dry, json=json, screen=Screen())
 
 
-@verb({"keep": "releases that stay on a robot; default: 3"})
+@verb({"keep": "releases to keep on each robot; default: 3"})
 def prune(
     hosts: str = "all",
     keep: int = prune_old.KEEP,
@@ -148,7 +148,7 @@ def prune(
 ) -> int:
     """Remove old releases and their images.
 
-    Only those that fleet made; the current release and the one before it always stay.
+    Only releases and images that fleet put there are removed. The current release and the previous one always stay.
     """
 
     def make(robot: Robot, facts: Facts) -> Plan:
@@ -158,13 +158,13 @@ def prune(
     return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen(), images=True)
 
 
-@verb({"to": "the release to go back to; default: the one that ran before"})
+@verb({"to": "the release to go back to; default: the previous one"})
 def rollback(
     hosts: str = "all", to: str = "", dry: bool = False, json: bool = False, inventory: str = ""
 ) -> int:
-    """Go back to the release that ran before.
+    """Go back to the previous release.
 
-    Or, with --to, to another one that the robot still has: `fab history` lists them.
+    With --to, go back to any release that is still on the robot. `fab history` lists releases.
     """
 
     def make(robot: Robot, facts: Facts) -> Plan:
@@ -177,7 +177,7 @@ def rollback(
 def start(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
     """Start the current release.
 
-    Waits until it is healthy.
+    It waits until every container is healthy.
     """
     return _contain("start", hosts=hosts, dry=dry, json=json, inventory=inventory)
 
@@ -186,7 +186,7 @@ def start(hosts: str = "all", dry: bool = False, json: bool = False, inventory: 
 def stop(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
     """Stop the current release.
 
-    It stays stopped over a reboot, until `fab start` or the next `fab ship`.
+    It stays stopped after a reboot, until `fab start` or the next `fab ship`.
     """
     return _contain("stop", hosts=hosts, dry=dry, json=json, inventory=inventory)
 
@@ -195,7 +195,7 @@ def stop(hosts: str = "all", dry: bool = False, json: bool = False, inventory: s
 def restart(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
     """Restart the current release.
 
-    Waits until it is healthy.
+    It waits until every container is healthy.
     """
     return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory)
 

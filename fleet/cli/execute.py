@@ -1,4 +1,4 @@
-"""How does a verb get from its plan function to an exit code? Observe, plan, then print or apply."""
+"""How does a verb get from its planner to an exit code? Observe, plan, then print or apply."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from fleet.errors import FleetError, LinkLost
 from fleet.plan.outcome import Outcome, exit_code
-from fleet.rollout.apply import RETRY_FOR, apply, look
+from fleet.rollout.apply import apply
+from fleet.rollout.observe import observe_one
 from fleet.rollout.pool import each
+from fleet.rollout.reconnect import RETRY_FOR
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     Opener = Callable[[Feed], Iterable[bytes]]
 
 
+OBSERVE = "look at the robot"
+"""The title of every robot's first step."""
+
+
 def execute(
     robots: Sequence[Robot],
     *ladder: Planner,
@@ -35,52 +40,55 @@ def execute(
     screen: Screen,
     open_feed: Opener | None = None,
     images: bool = False,
-    patience: float = RETRY_FOR,
+    retry_for: float = RETRY_FOR,
 ) -> int:
-    """Look at every robot, plan for it, and carry that out, or show the plans with ``dry``. Returns the exit code.
+    """Observe every robot, plan for it, and apply the plan, or print it with ``dry``. Returns the exit code.
 
-    Where the robot cannot use what was sent, it is looked at again, and the next planner of ``ladder`` has its turn. With
-    ``images``, planners are told what robots hold of images; for ``patience`` see `fleet.rollout.apply.apply`.
+    If a robot cannot use what was sent, it is observed again, and the next planner of ``ladder`` makes the plan. With
+    ``images``, the facts include the robot's images. For ``retry_for`` see `fleet.rollout.apply.apply`.
     """
     plans: dict[str, Plan] = {}
 
-    with screen.progress() as show:
+    with screen.progress() as progress:
+        progress.announce([robot.name for robot in robots], OBSERVE)
 
-        def attempt(line: Link, make: Planner) -> Outcome:
-            show.began(line.robot.name, "look at the robot", None)
-            facts = look(line, images=images, watch=show, patience=patience)
-            plan = plans[line.robot.name] = make(line.robot, facts)
+        def attempt(link: Link, make: Planner) -> Outcome:
+            progress.step_started(link.robot.name, OBSERVE, None)
+            facts = observe_one(link, images=images, progress=progress, retry_for=retry_for)
+            plan = plans[link.robot.name] = make(link.robot, facts)
             if dry:
                 return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-            return apply(plan, line, open_feed=open_feed or refuse, watch=show, patience=patience)
+            return apply(plan, link, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for)
 
-        outcomes = each(robots, partial(_climb, ladder=ladder, attempt=attempt, watch=show), watch=show)
+        outcomes = each(
+            robots, partial(_climb, ladder=ladder, attempt=attempt, progress=progress), progress=progress
+        )
     if not dry:
         return screen.result(outcomes, json=json)
-    made = [plans[robot.name] for robot in robots if robot.name in plans]
-    return show_plans(made, outcomes, json=json, screen=screen)
+    in_order = [plans[robot.name] for robot in robots if robot.name in plans]
+    return show_plans(in_order, outcomes, json=json, screen=screen)
 
 
 def _climb(
-    line: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], watch: Progress
+    link: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], progress: Progress
 ) -> Outcome:
-    """Attempt one planner's way, and the next one's where a robot could not use what came."""
+    """Apply the first planner's plan, and the next one's if the robot could not use what was sent."""
     first, *others = ladder
-    outcome = attempt(line, first)
+    outcome = attempt(link, first)
     sent, why = outcome.sent, ""
     for make in others:
         if not outcome.unusable:
             break
         why = outcome.reason.partition("\n")[0]
-        watch.told(line.robot.name, f"{why}; trying another way")
-        outcome = attempt(line, make)
+        progress.note(link.robot.name, f"{why}; trying another way")
+        outcome = attempt(link, make)
         sent += outcome.sent
     because = f"{outcome.transfer}, because {why}" if why else outcome.transfer
     return replace(outcome, sent=sent, transfer=because)
 
 
 def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool, screen: Screen) -> int:
-    """Print what would be done, and which robots cannot be planned for."""
+    """Print the plans, and the robots for which there is none."""
     bad = tuple(outcome for outcome in outcomes if not outcome.good)
     if json:
         screen.json({"plans": plans, "problems": bad})
@@ -92,45 +100,11 @@ def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool
     return exit_code(bad)
 
 
-def observe(robots: Sequence[Robot], *, watch: Progress) -> dict[str, Facts | FleetError]:
-    """What each robot has now, or why it cannot be told."""
-    seen: dict[str, Facts | FleetError] = {}
-
-    def look(line: Link) -> Outcome:
-        try:
-            seen[line.robot.name] = line.facts()
-        except FleetError as problem:
-            seen[line.robot.name] = problem
-            raise
-        return Outcome(robot=line.robot.name, status="done")
-
-    each(robots, look, watch=watch)
-    return {robot.name: seen.get(robot.name, LinkLost("interrupted by Ctrl-C")) for robot in robots}
-
-
-def keep_observing(
-    robots: Sequence[Robot], seen: dict[str, Facts | FleetError], *, every: float, watch: Progress
-) -> None:
-    """Keep ``seen`` up to date over standing connections, until Ctrl-C; ``every`` is in seconds."""
-
-    def look(line: Link) -> Outcome:
-        while not line.closed.is_set():
-            try:
-                seen[line.robot.name] = line.facts()
-            except FleetError as problem:
-                seen[line.robot.name] = problem
-                line.afresh()
-            line.closed.wait(every)
-        return Outcome(robot=line.robot.name, status="done")
-
-    each(robots, look, watch=watch, at_once=len(robots))
-
-
 def refuse(feed: Feed) -> Iterable[bytes]:
-    """Open no feed: the steps of most verbs carry their bytes."""
+    """Refuse to open a feed: the steps of most verbs hold their bytes themselves."""
     raise TypeError(f"{feed.label} needs a sender")
 
 
 def whoami() -> str:
-    """Who is at the desktop, for the robots' histories: ``tim@desktop``."""
+    """Return the desktop's user for the robots' histories, such as ``tim@desktop``."""
     return f"{getpass.getuser()}@{socket.gethostname()}"

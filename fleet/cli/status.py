@@ -1,4 +1,4 @@
-"""How does a robot's state read in one row?"""
+"""How is a robot's state shown in one row?"""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ EVENT_COLUMNS = ("robot", "when (UTC)", "what", "release", "by", "outcome")
 COLUMNS = ("robot", "reachable", "release", "containers", "docker", "disk free", "temp")
 
 Cell = tuple[str, str]
-"""A text and the style it is shown in."""
+"""A text and its style."""
 
 
 def row(name: str, seen: Facts | FleetError) -> Sequence[Cell]:
-    """The cells of one robot, as in `COLUMNS`."""
+    """Return one robot's cells, in the order of `COLUMNS`."""
     if isinstance(seen, FleetError):
         return (
             (name, "bold"),
@@ -48,7 +48,7 @@ def row(name: str, seen: Facts | FleetError) -> Sequence[Cell]:
 
 
 def good(seen: Facts | FleetError) -> bool:
-    """Whether the robot answers and all it was sent runs well."""
+    """Whether the robot answers and all its containers are healthy."""
     if isinstance(seen, FleetError):
         return False
     return all(c.healthy and c.release == seen.fleet.current for c in seen.fleet.containers) and (
@@ -57,7 +57,7 @@ def good(seen: Facts | FleetError) -> bool:
 
 
 def record(seen: Facts | FleetError) -> dict[str, Any]:
-    """One robot's state for programs."""
+    """Return one robot's state for ``--json``."""
     if isinstance(seen, FleetError):
         return {"reachable": False, "reason": seen.what, "cure": seen.cure}
     facts = asdict(seen)
@@ -67,12 +67,12 @@ def record(seen: Facts | FleetError) -> dict[str, Any]:
 
 
 def events(seen: Facts | FleetError) -> tuple[Event, ...]:
-    """A robot's history, oldest first."""
+    """Return a robot's history, oldest event first."""
     return () if isinstance(seen, FleetError) else history(seen.fleet.history)
 
 
 def event_row(name: str, event: Event) -> Sequence[Cell]:
-    """The cells of one event, as in `EVENT_COLUMNS`."""
+    """Return one event's cells, in the order of `EVENT_COLUMNS`."""
     when = event.when.replace("T", " ").rstrip("Z")
     style = "green" if event.outcome == "done" else "red"
     return (
@@ -86,7 +86,7 @@ def event_row(name: str, event: Event) -> Sequence[Cell]:
 
 
 def problems(seen: Mapping[str, Facts | FleetError]) -> tuple[Outcome, ...]:
-    """The outcomes of the robots that could not be looked at."""
+    """Return the outcomes of the robots that could not be observed."""
     return tuple(failure(name, what) for name, what in seen.items() if isinstance(what, FleetError))
 
 
@@ -98,7 +98,7 @@ def _containers(facts: Facts) -> Cell:
 
 
 def _container(container: Container, current: str) -> str:
-    """``talker healthy 3 minutes``: Docker's own sentence without its filling, and the release if it is another."""
+    """Shorten Docker's status to ``talker healthy 3 minutes``; name the release if it is not the current one."""
     health = re.search(r"\((?:health: )?(\w+)\)", container.status)
     since = re.sub(r"^Up |\s*\([^)]*\)|About ", "", container.status)
     state = health[1] if health else container.state

@@ -1,7 +1,7 @@
-"""How do many robots get their plans, and what became of each?
+"""How is work done on many robots at once?
 
-`each` runs one piece of work per robot in a bounded pool of threads. A robot's failure is its outcome, never the
-others'. Ctrl-C closes every connection, and says what became of each robot.
+`each` runs one piece of work per robot in a bounded pool of threads. A robot that fails does not affect the others.
+Ctrl-C closes every connection; each robot still gets an outcome.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ if TYPE_CHECKING:
     from fleet.rollout.progress import Progress
 
 AT_ONCE = 32
-"""Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
+"""Robots worked on at the same time: 200 robots are reached in seconds, and a jump host's sshd (MaxStartups) copes."""
 
 
 def each(
     robots: Sequence[Robot],
     work: Callable[[Link], Outcome],
     *,
-    watch: Progress,
+    progress: Progress,
     at_once: int = AT_ONCE,
 ) -> tuple[Outcome, ...]:
-    """Run ``work`` for every robot, at most ``at_once`` at a time; an outcome for each, in the order of ``robots``."""
-    lines = [Link(robot) for robot in robots]
+    """Run ``work`` for every robot, at most ``at_once`` at a time. Returns the outcomes in the order of ``robots``."""
+    links = [Link(robot) for robot in robots]
     todo: queue.SimpleQueue[Link] = queue.SimpleQueue()
     done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
-    for line in lines:
-        todo.put(line)
-    for _ in range(min(at_once, len(lines))):
-        # Daemons, because Python would wait at its end for a thread that is still connecting.
+    for link in links:
+        todo.put(link)
+    for _ in range(min(at_once, len(links))):
+        # Daemons: otherwise Python would wait at its end for a thread that is still connecting.
         threading.Thread(target=_work_off, args=(todo, done, work), daemon=True).start()
     outcomes: dict[str, Outcome] = {}
     try:
-        _collect(done, outcomes, until=len(lines), watch=watch)
+        _collect(done, outcomes, until=len(links), progress=progress)
     except KeyboardInterrupt:
-        for line in lines:
-            line.close()
-            name = line.robot.name
+        for link in links:
+            link.close()
+            name = link.robot.name
             if name not in outcomes:
                 outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
-                watch.ended(outcomes[name])
-    except BrokenPipeError:  # nobody reads any more what the robots say
-        for line in lines:
-            line.close()
+                progress.finished(outcomes[name])
+    except BrokenPipeError:  # the reader of the output is gone (`| head`)
+        for link in links:
+            link.close()
         raise
-    return tuple(outcomes[line.robot.name] for line in lines)
+    return tuple(outcomes[link.robot.name] for link in links)
 
 
 def _work_off(
@@ -66,15 +66,15 @@ def _work_off(
 ) -> None:
     while True:
         try:
-            line = todo.get_nowait()
+            link = todo.get_nowait()
         except queue.Empty:
             return
         try:
-            done.put(_one(line, work))
+            done.put(_one(link, work))
         except BaseException as bug:  # noqa: BLE001  raised in the thread that can show it
             done.put(bug)
         finally:
-            line.close()
+            link.close()
 
 
 def _collect(
@@ -82,29 +82,29 @@ def _collect(
     outcomes: dict[str, Outcome],
     *,
     until: int,
-    watch: Progress,
+    progress: Progress,
 ) -> None:
     bugs: list[BaseException] = []
     while len(outcomes) + len(bugs) < until:
         try:
-            came = done.get(timeout=0.5)  # a wait without end would not notice Ctrl-C
+            result = done.get(timeout=0.5)  # a wait without a timeout would not notice Ctrl-C
         except queue.Empty:
             continue
-        if isinstance(came, Outcome):
-            outcomes[came.robot] = came
-            watch.ended(came)
-        elif isinstance(came, BrokenPipeError):
-            raise came
+        if isinstance(result, Outcome):
+            outcomes[result.robot] = result
+            progress.finished(result)
+        elif isinstance(result, BrokenPipeError):
+            raise result
         else:
-            bugs.append(came)
+            bugs.append(result)
     if bugs:
         raise bugs[0]
 
 
-def _one(line: Link, work: Callable[[Link], Outcome]) -> Outcome:
+def _one(link: Link, work: Callable[[Link], Outcome]) -> Outcome:
     started = time.monotonic()
     try:
-        outcome = work(line)
+        outcome = work(link)
     except FleetError as problem:
-        outcome = failure(line.robot.name, problem)
+        outcome = failure(link.robot.name, problem)
     return replace(outcome, seconds=time.monotonic() - started)

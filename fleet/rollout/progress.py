@@ -1,40 +1,48 @@
-"""Who is told how it goes?"""
+"""Who is told how the work goes?"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fleet.plan.outcome import Outcome
 
 
 class Progress(Protocol):
-    """Whoever is told how it goes; called from many threads."""
+    """The receiver of progress reports. It is called from many threads."""
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
-        """A robot starts something; ``size`` is in bytes where bytes will flow."""
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        """Report that all these robots will start the same step; each of them still reports `step_started`."""
 
-    def sent(self, robot: str, count: int) -> None:
-        """So many more bytes have left."""
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
+        """Report that a robot starts a step. ``size`` is in bytes, if the step sends any."""
 
-    def told(self, robot: str, text: str) -> None:
-        """Something about a robot that a person may want to know, and that is no step."""
+    def bytes_sent(self, robot: str, count: int) -> None:
+        """Report that ``count`` more bytes were sent to a robot."""
 
-    def ended(self, outcome: Outcome) -> None:
-        """A robot is through."""
+    def note(self, robot: str, text: str) -> None:
+        """Report something about a robot that is not a step."""
+
+    def finished(self, outcome: Outcome) -> None:
+        """Report that the work on a robot is over."""
 
 
 class NoProgress:
-    """Progress that nobody is shown: what a verb prints tells enough."""
+    """Progress reports that nobody reads: the verb prints enough."""
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
-        """See `Watch`."""
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        """See `Progress`."""
 
-    def sent(self, robot: str, count: int) -> None:
-        """See `Watch`."""
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
+        """See `Progress`."""
 
-    def told(self, robot: str, text: str) -> None:
-        """See `Watch`."""
+    def bytes_sent(self, robot: str, count: int) -> None:
+        """See `Progress`."""
 
-    def ended(self, outcome: Outcome) -> None:
-        """See `Watch`."""
+    def note(self, robot: str, text: str) -> None:
+        """See `Progress`."""
+
+    def finished(self, outcome: Outcome) -> None:
+        """See `Progress`."""

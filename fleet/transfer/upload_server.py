@@ -22,9 +22,9 @@ CHUNK = 64 * 1024
 
 
 class UploadServer:
-    """One batch of uploads to one robot: an iterable of the bytes to send, which reads the robot's requests (`heard`).
+    """One batch of uploads to one robot: an iterable of the bytes to send, which reads the robot's requests (`on_output`).
 
-    ``open_blob`` opens the bytes of a digest (hex). ``tell`` is called with a note on what the robot does when it does not
+    ``open_blob`` opens the bytes of a digest (hex). ``on_note`` is called with a note on what the robot does when it does not
     receive. At the end ``on_end`` is called with the robot's address, the bytes sent and the seconds that they took.
     """
 
@@ -40,9 +40,9 @@ class UploadServer:
         self._closed = False
         self.sent = 0
         self.seconds = 0.0
-        self.tell: OnNote = lambda _: None
+        self.on_note: OnNote = lambda _: None
 
-    def heard(self, data: bytes) -> None:
+    def on_output(self, data: bytes) -> None:
         """Read a part of the robot's output, which may end within a line."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -50,10 +50,10 @@ class UploadServer:
                 case ["need", digest, offset] if digest in self._uploads and offset.isdecimal():
                     self._requests.put((digest, int(offset)))
                 case ["enough"]:
-                    self.tell("load the image into Docker")
+                    self.on_note("load the image into Docker")
                     self._requests.put(None)
                 case ["wait", "for", *who]:
-                    self.tell(f"wait for {' '.join(who)}, who is shipping to this robot")
+                    self.on_note(f"wait for {' '.join(who)}, who is shipping to this robot")
                 case _:  # the output of a login script
                     pass
 

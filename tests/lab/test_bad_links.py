@@ -41,7 +41,7 @@ def test_a_link_cut_in_mid_stream(project: Project, pi: Pi) -> None:
     """Noticed within 30 s; the others are done, what ran runs on, and the next ship sends the rest."""
     before = shipped(project)
     project.stack(tick=service(HEAVY))
-    with cut(pi, after=HALF) as is_cut, project.start("ship", "--json", "--patience", "0") as fab:
+    with cut(pi, after=HALF) as is_cut, project.start("ship", "--json", "--retry-for", "0") as fab:
         assert eventually(is_cut, within=60)
         since = time.monotonic()
         said = fab.end()
@@ -76,7 +76,7 @@ def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
     """Noticed within 30 s, whatever the command was waiting for; the new release is not current, the next ship heals."""
     before = shipped(project)[0][0]
     project.stack(tick=STARTING)
-    with project.start("ship", "--hosts", "pi1", "--patience", "0") as fab:
+    with project.start("ship", "--hosts", "pi1", "--retry-for", "0") as fab:
         assert eventually(lambda: processes(pi, "compose up"))
         with cut(pi):
             since = time.monotonic()
@@ -104,7 +104,7 @@ def test_docker_that_dies_during_the_load(project: Project, pi: Pi) -> None:
 
 
 def test_ctrl_c_while_connecting(project: Project, pi: Pi) -> None:
-    """A robot that accepts the connection and says nothing does not hold the person."""
+    """A robot that accepts the connection but sends no SSH banner does not hold the person."""
     subprocess.run(("docker", "pause", pi.container), capture_output=True, check=True)
     try:
         with project.start("ship", "--hosts", "pi1") as fab:

@@ -177,22 +177,22 @@ def power(pi: Pi, verb: str) -> None:
     subprocess.run(("docker", verb, pi.container), capture_output=True, check=True)
 
 
-@pytest.mark.parametrize("patience", ["0", "180"], ids=["the same command again", "the running command"])
-def test_power_that_fails_during_the_load(project: Project, pi: Pi, patience: str) -> None:
+@pytest.mark.parametrize("retry_for", ["0", "180"], ids=["the same command again", "the running command"])
+def test_power_that_fails_during_the_load(project: Project, pi: Pi, retry_for: str) -> None:
     """The release before runs again by itself, and nothing of what had come is sent a second time."""
     before = release_before(project, pi)
     ship = ("ship", "--hosts", "pi1", "--json")
-    with project.start(*ship, "--patience", patience) as fab:
+    with project.start(*ship, "--retry-for", retry_for) as fab:
         fab.await_text("pi1: load the image into Docker")
         power(pi, "kill")
-        if patience == "0":
+        if retry_for == "0":
             assert fab.end(within=40).status == {"pi1": "failed"}
         power(pi, "start")
-        if patience == "0":
+        if retry_for == "0":
             docker_is_up(pi)
             runs(pi, before["pi1"])
-        said = project.fab(*ship) if patience == "0" else fab.end(within=150)
-    most = 100_000 if patience == "0" else HEAVY_SIZE * 1.1
+        said = project.fab(*ship) if retry_for == "0" else fab.end(within=150)
+    most = 100_000 if retry_for == "0" else HEAVY_SIZE * 1.1
     assert finished(project, before, said)["pi1"] < most
 
 
@@ -239,7 +239,7 @@ def test_a_disk_that_somebody_else_fills_half_way(project: Project, pi: Pi) -> N
             assert eventually(lambda: spooled(pi) > 5_000_000, within=60)
             pi.exec("sh", "-c", "head -c 60M /dev/zero > ~pi/.fleet/spool/lock.theirs || true")
             said = fab.end(within=60)
-        assert (said.code, said.json[0]["reason"]) == (1, "its disk is full"), said.all
+        assert (said.code, said.json[0]["reason"]) == (1, "the robot's disk is full"), said.all
         runs(pi, before["pi1"])
         pi.exec("sh", "-c", "rm ~pi/.fleet/spool/lock.theirs")
         arrived = spooled(pi)

@@ -21,7 +21,7 @@ from fleet.ssh import connect, known_hosts
 from tests.support.lab_project import LAB
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from fleet.config.inventory import Robot
@@ -38,16 +38,19 @@ class Ear:
     def __init__(self) -> None:
         self.steps: list[str] = []
 
-    def began(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        pass
+
+    def step_started(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
         self.steps.append(title)
 
-    def sent(self, robot: str, count: int) -> None:
+    def bytes_sent(self, robot: str, count: int) -> None:
         pass
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         pass
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         pass
 
 
@@ -81,11 +84,11 @@ class Target:
             self.root(mended_by)
 
     def facts(self) -> Facts:
-        line = Link(self.robot)
+        link = Link(self.robot)
         try:
-            return line.facts()
+            return link.facts()
         finally:
-            line.close()
+            link.close()
 
     def plan(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> Plan:
         script = script or self.script
@@ -101,11 +104,11 @@ class Target:
 
     def provision(self, script: bytes = b"", *, bounds: apt.Bounds = BOUNDS) -> tuple[Outcome, list[str]]:
         """What became of it, and the steps that began."""
-        ear, line = Ear(), Link(self.robot)
+        ear, link = Ear(), Link(self.robot)
         try:
-            return apply(self.plan(script, bounds=bounds), line, open_feed=opened, watch=ear), ear.steps
+            return apply(self.plan(script, bounds=bounds), link, open_feed=opened, progress=ear), ear.steps
         finally:
-            line.close()
+            link.close()
 
 
 def made(name: str, directory: Path) -> Iterator[Target]:
@@ -169,7 +172,7 @@ def test_a_disk_that_fills_is_told(blank: Target) -> None:
     with blank.broken(f"mount -t tmpfs -o size=100k tmpfs {cache}", mended_by=f"umount {cache}"):
         outcome, _ = blank.provision()
     assert (outcome.status, outcome.step) == ("failed", "install Docker, which takes minutes")
-    assert outcome.reason.startswith("its disk is full")
+    assert outcome.reason.startswith("the robot's disk is full")
     assert "apt-get clean" in outcome.cure
 
 
@@ -185,7 +188,7 @@ def test_no_network_is_told(blank: Target) -> None:
     ):
         outcome, _ = blank.provision()
     assert outcome.status == "failed"
-    assert outcome.reason.startswith(("it cannot find deb.debian.org", "it cannot reach"))
+    assert outcome.reason.startswith(("the robot cannot resolve deb.debian.org", "the robot cannot reach"))
     assert "internet" in outcome.cure
 
 
@@ -236,8 +239,8 @@ def test_an_apt_that_stays_locked_is_told(blank: Target) -> None:
     with blank.broken("true", mended_by="rm /root/held"):
         outcome, _ = blank.provision(bounds=apt.Bounds(lock_timeout=1, limit=60))
     assert outcome.status == "failed"
-    assert outcome.reason.startswith("another program there uses apt (python3)")
-    assert "wait until it is done" in outcome.cure
+    assert outcome.reason.startswith("another program on the robot uses apt (python3)")
+    assert "wait until it has finished" in outcome.cure
 
 
 def test_a_bad_morning_ends_well(tmp_path: Path) -> None:

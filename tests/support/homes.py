@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from fleet.config.inventory import Robot
@@ -50,21 +50,25 @@ class Told:
     """A `fleet.rollout.progress.Progress` that remembers what it was told."""
 
     def __init__(self) -> None:
+        self.announced: list[tuple[tuple[str, ...], str]] = []
         self.began_with: list[tuple[str, str, int | None]] = []
         self.bytes = 0
         self.said: list[tuple[str, str]] = []
         self.ended_with: list[Outcome] = []
 
-    def began(self, robot: str, title: str, size: int | None) -> None:
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        self.announced.append((tuple(robots), title))
+
+    def step_started(self, robot: str, title: str, size: int | None) -> None:
         self.began_with.append((robot, title, size))
 
-    def sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
+    def bytes_sent(self, robot: str, count: int) -> None:  # noqa: ARG002  a protocol's
         self.bytes += count
 
-    def told(self, robot: str, text: str) -> None:
+    def note(self, robot: str, text: str) -> None:
         self.said.append((robot, text))
 
-    def ended(self, outcome: Outcome) -> None:
+    def finished(self, outcome: Outcome) -> None:
         self.ended_with.append(outcome)
 
 

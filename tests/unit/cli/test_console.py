@@ -34,7 +34,7 @@ BROKEN = Outcome(
     cure="`fab logs` shows what it says",
 )
 GONE = Outcome(
-    robot="pi4", status="unreachable", reason="pi4 does not answer within 10 s", cure="has it power?"
+    robot="pi4", status="unreachable", reason="pi4 did not answer within 10 s", cure="has it power?"
 )
 
 
@@ -67,7 +67,7 @@ def test_outcomes_in_words(screen: Screen) -> None:
         "           | Traceback (most recent call last):\n"
         "           |   boom\n"
         "           cure: `fab logs` shows what it says\n"
-        "pi4      unreachable  pi4 does not answer within 10 s\n"
+        "pi4      unreachable  pi4 did not answer within 10 s\n"
         "           cure: has it power?\n"
     )
     assert err(screen) == "1 done, 1 unchanged, 1 failed, 1 unreachable\n"
@@ -89,7 +89,7 @@ def test_problems_go_to_standard_error(screen: Screen) -> None:
     assert screen.problems([DONE, GONE, skipped]) == 1
     assert screen.problems([DONE, skipped]) == 0
     assert out(screen) == ""
-    assert err(screen) == "pi4: pi4 does not answer within 10 s\n  cure: has it power?\n"
+    assert err(screen) == "pi4: pi4 did not answer within 10 s\n  cure: has it power?\n"
 
 
 def test_a_plan_on_the_screen(screen: Screen) -> None:
@@ -224,15 +224,26 @@ def test_nobody_there_is_a_no(screen: Screen, monkeypatch: pytest.MonkeyPatch) -
 
 def test_progress_where_nobody_watches_is_lines(screen: Screen) -> None:
     """One when a robot begins something, one when it is through."""
-    show = screen.progress()
-    assert isinstance(show, Lines)
-    with show:
-        show.began("pi1", "load talker", 242_000_000)
-        show.sent("pi1", 1000)
-        show.began("pi1", "start it", None)
-        show.ended(DONE)
+    progress = screen.progress()
+    assert isinstance(progress, Lines)
+    with progress:
+        progress.step_started("pi1", "load talker", 242_000_000)
+        progress.bytes_sent("pi1", 1000)
+        progress.step_started("pi1", "start it", None)
+        progress.finished(DONE)
     assert err(screen) == "pi1: load talker (242 MB)\npi1: start it\npi1: done after 8 s\n"
     assert out(screen) == ""
+
+
+def test_a_step_of_all_robots_is_one_line(screen: Screen) -> None:
+    """With 20 robots, 20 equal lines would hide the result; a later repetition by one robot is shown again."""
+    with screen.progress() as progress:
+        progress.announce(["pi1", "pi2"], "look at the robot")
+        for robot in ("pi1", "pi2", "pi2"):
+            progress.step_started(robot, "look at the robot", None)
+        progress.announce(["pi3"], "look at the robot")
+        progress.step_started("pi3", "look at the robot", None)
+    assert err(screen) == "2 robots: look at the robot\npi2: look at the robot\npi3: look at the robot\n"
 
 
 def until(seen: Callable[[], bool]) -> None:
@@ -246,14 +257,14 @@ def until(seen: Callable[[], bool]) -> None:
 def test_progress_on_a_terminal_moves_and_leaves_nothing_behind() -> None:
     """Bytes, rate and time left where bytes flow; when it ends, the lines are gone."""
     console = Terminal(file=io.StringIO(), force_terminal=True, width=120, legacy_windows=False)
-    with Bars(console) as show:
-        show.began("pi1", "load [talker]", 242_000_000)
-        show.sent("pi1", 121_000_000)
+    with Bars(console) as progress:
+        progress.step_started("pi1", "load [talker]", 242_000_000)
+        progress.bytes_sent("pi1", 121_000_000)
         until(lambda: "121.0/242.0 MB" in console.file.getvalue())  # type: ignore[attr-defined]
         console.print("meanwhile")
-        show.ended(DONE)
-        show.sent("pi1", 5)
-        show.ended(GONE)
+        progress.finished(DONE)
+        progress.bytes_sent("pi1", 5)
+        progress.finished(GONE)
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "load [talker]" in text

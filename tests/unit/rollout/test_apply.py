@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import DesktopError, Unreachable
+from fleet.errors import DesktopError
 from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step
-from fleet.rollout import apply as applying
-from fleet.rollout.apply import apply, look
+from fleet.rollout import reconnect
+from fleet.rollout.apply import apply
 from fleet.rollout.link import Link
 from fleet.rollout.pool import each
 from tests.support.homes import Home, Told, start
@@ -52,15 +52,15 @@ def applied(
     home: Home,
     plan: Plan,
     *,
-    watch: Told | None = None,
+    progress: Told | None = None,
     open_feed: Opener = open_bytes,
-    patience: float = 20.0,
+    retry_for: float = 20.0,
 ) -> Outcome:
-    line = Link(home.robot)
+    link = Link(home.robot)
     try:
-        return apply(plan, line, open_feed=open_feed, watch=watch or Told(), patience=patience)
+        return apply(plan, link, open_feed=open_feed, progress=progress or Told(), retry_for=retry_for)
     finally:
-        line.close()
+        link.close()
 
 
 def test_a_plan_is_carried_out_step_by_step(home: Home) -> None:
@@ -70,7 +70,9 @@ def test_a_plan_is_carried_out_step_by_step(home: Home) -> None:
         sh("cat file", title="prove", expect="hello you\n"),
     )
     told = Told()
-    outcome = applied(home, Plan(robot="pi1", summary="release abc", steps=steps, record=RECORD), watch=told)
+    outcome = applied(
+        home, Plan(robot="pi1", summary="release abc", steps=steps, record=RECORD), progress=told
+    )
     assert outcome == Outcome(robot="pi1", status="done", summary="release abc", sent=9)
     assert told.began_with == [("pi1", "write", 9), ("pi1", "prove", None)]
     assert told.bytes == 9
@@ -98,7 +100,7 @@ def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(hom
         record=RECORD,
     )
     told = Told()
-    assert applied(home, plan, watch=told) == Outcome(
+    assert applied(home, plan, progress=told) == Outcome(
         robot="pi1",
         status="failed",
         step="start it",
@@ -155,7 +157,10 @@ def test_a_step_is_believed_by_its_proof_only(home: Home, script: str, expect: s
     assert outcome.status == ("done" if proven else "failed")
     if not proven:
         said = {"echo inactive": "'inactive'", "true": "'nothing'"}.get(script, "'two'")
-        assert (outcome.reason, outcome.cure) == (f"the proof fails: it says {said}", "run it again")
+        assert (outcome.reason, outcome.cure) == (
+            f"the check after this step failed: it printed {said}",
+            "run it again",
+        )
 
 
 def test_a_proof_comes_after_what_login_scripts_print(sshds: Sshds) -> None:
@@ -177,9 +182,9 @@ def test_a_step_that_takes_too_long_is_ended_and_recovered_from(home: Home) -> N
     )
     outcome = applied(home, plan)
     assert (outcome.status, outcome.step) == ("failed", "hang")
-    assert outcome.reason == "`sh` took longer than 1 s and was ended on the robot\n(went back: back)"
+    assert outcome.reason == "`sh` took longer than 1 s and was stopped on the robot\n(went back: back)"
     assert (home.path / "recovered").exists()
-    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was ended on the robot"
+    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was stopped on the robot"
     assert home.logins == 2
 
 
@@ -238,10 +243,10 @@ def test_bytes_that_cannot_be_had_here_fail_the_robot_and_not_the_program(home: 
     )
     plan = Plan(robot="pi1", summary="", steps=(step, sh("touch never")))
 
-    def work(line: Link) -> Outcome:
-        return apply(plan, line, open_feed=lambda _: broken(), watch=Told())
+    def work(link: Link) -> Outcome:
+        return apply(plan, link, open_feed=lambda _: broken(), progress=Told())
 
-    (outcome,) = each([home.robot], work, watch=Told())
+    (outcome,) = each([home.robot], work, progress=Told())
     assert (outcome.status, outcome.reason) == ("failed", "reading image talker from Docker failed: gone")
     assert outcome.cure == "see `docker info`"
     assert not (home.path / "never").exists()
@@ -256,16 +261,18 @@ def test_a_history_that_cannot_be_written_is_no_failure(home: Home) -> None:
 def test_a_robot_that_vanishes_before_a_fresh_login_is_told_so(home: Home, tmp_path: Path) -> None:
     """It was reached once, so it has failed at a step."""
     steps = (sh("touch began"), Step(title="again", argv=("true",), fresh_login=True))
-    line = Link(home.robot)
+    link = Link(home.robot)
 
     class Cutting(Told):
-        def began(self, robot: str, title: str, size: int | None) -> None:
-            super().began(robot, title, size)
+        def step_started(self, robot: str, title: str, size: int | None) -> None:
+            super().step_started(robot, title, size)
             if title == "again":
                 home.server.stop()
 
-    outcome = apply(Plan(robot="pi1", summary="", steps=steps), line, open_feed=open_bytes, watch=Cutting())
-    line.close()
+    outcome = apply(
+        Plan(robot="pi1", summary="", steps=steps), link, open_feed=open_bytes, progress=Cutting()
+    )
+    link.close()
     assert (outcome.status, outcome.step) == ("failed", "again")
     assert "refuses connections" in outcome.reason
     assert (tmp_path / "home of pi1/began").exists()
@@ -304,7 +311,7 @@ class Away:
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lost link is tried again sooner than people would want it."""
-    monkeypatch.setattr(applying, "_PAUSES", (0.1, 0.2))
+    monkeypatch.setattr(reconnect, "_PAUSES", (0.1, 0.2))
 
 
 LASTS = "echo >> began; test $(wc -l < began) -gt 1 || sleep 20; echo through"
@@ -320,7 +327,7 @@ def test_a_step_that_resumes_goes_on_when_the_robot_is_back(home: Home) -> None:
         replace(sh(LASTS, title="go on", expect="through"), resumes=True),
         sh("echo >> last"),
     )
-    outcome = applied(home, Plan(robot="pi1", summary="all", steps=steps, record=RECORD), watch=told)
+    outcome = applied(home, Plan(robot="pi1", summary="all", steps=steps, record=RECORD), progress=told)
     away.end()
     assert (outcome.status, outcome.summary) == ("done", "all")
     assert away.attempts == 2
@@ -338,19 +345,19 @@ def test_a_step_that_resumes_goes_on_when_the_robot_is_back(home: Home) -> None:
 def test_a_step_that_does_not_resume_is_not_run_again(home: Home) -> None:
     """Whether it can stand that is not known."""
     away, told = Away(home, times=1), Told()
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=(sh(LASTS, title="once"),)), watch=told)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(sh(LASTS, title="once"),)), progress=told)
     away.end()
     assert (outcome.status, outcome.step, away.attempts) == ("failed", "once", 1)
     assert told.said == []
 
 
 @pytest.mark.usefixtures("hurried")
-def test_patience_ends(home: Home) -> None:
+def test_a_lost_connection_is_retried_for_so_long_only(home: Home) -> None:
     """A robot that stays away is told as such, and what to do."""
     away = Away(home, times=1, back=False)
     steps = (replace(sh(LASTS, title="go on"), resumes=True), sh("touch never"))
     began = time.monotonic()
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps), patience=0.5)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=steps), retry_for=0.5)
     away.end()
     assert time.monotonic() - began < 15
     assert (outcome.status, outcome.step, away.attempts) == ("failed", "go on", 1)
@@ -360,7 +367,7 @@ def test_patience_ends(home: Home) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
+def test_retrying_counts_from_the_last_byte_that_left(home: Home) -> None:
     """A link that is cut again and again, and carries something each time, is worth waiting for."""
     away = Away(home, times=3)
     goes_on = "cat > got; echo >> began; test $(wc -l < began) -gt 3 || sleep 20"
@@ -372,30 +379,9 @@ def test_patience_counts_from_the_last_byte_that_left(home: Home) -> None:
         time.sleep(0.4)
         yield b"hello you"
 
-    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, patience=0.9)
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, retry_for=0.9)
     away.end()
     assert (outcome.status, outcome.sent, away.attempts) == ("done", 4 * 9, 4)
-
-
-@pytest.mark.usefixtures("hurried")
-def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
-    """Its link was lost while it was asked: it is asked again, which is told."""
-    line, told = Link(home.robot), Told()
-    line.session.close()
-    assert look(line, images=False, watch=told).fleet.releases == ()
-    line.close()
-    assert told.said == [
-        ("pi1", "the connection was lost before the command started; trying again for 3 min")
-    ]
-
-
-def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
-    """It may be switched off, and others are waiting for the answer."""
-    home.server.stop()
-    line, told = Link(home.robot), Told()
-    with pytest.raises(Unreachable):
-        look(line, images=False, watch=told)
-    assert told.said == []
 
 
 @pytest.mark.usefixtures("hurried")
@@ -419,7 +405,7 @@ def test_the_history_is_kept_though_the_link_is_lost(home: Home) -> None:
     thread.start()
     plan = Plan(robot="pi1", summary="", steps=(sh("mkdir .fleet && mkfifo .fleet/history"),), record=RECORD)
     told = Told()
-    outcome = applied(home, plan, watch=told)
+    outcome = applied(home, plan, progress=told)
     thread.join()
     back[0].stop()
     assert (outcome.status, len(told.said) > 0) == ("done", True)
@@ -445,7 +431,7 @@ def test_what_comes_afterwards_is_no_part_of_success(home: Home) -> None:
         record=RECORD,
         forecast="sends nothing",
     )
-    assert applied(home, plan, watch=told) == Outcome(robot="pi1", status="done", summary="release abc")
+    assert applied(home, plan, progress=told) == Outcome(robot="pi1", status="done", summary="release abc")
     assert [title for _, title, _ in told.began_with] == ["start", "remove", "forget"]
     assert told.said == [("pi1", "sends nothing")]
     assert (home.path / "removed").exists()
@@ -466,9 +452,9 @@ class Talk:
     def __init__(self) -> None:
         self.said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self.closed = False
-        self.tell: Callable[[str], None] = lambda _: None
+        self.on_note: Callable[[str], None] = lambda _: None
 
-    def heard(self, data: bytes) -> None:
+    def on_output(self, data: bytes) -> None:
         for line in data.splitlines(keepends=True):
             self.said.put(line)
 
@@ -478,7 +464,7 @@ class Talk:
 
     def __iter__(self) -> Iterator[bytes]:
         while (line := self.said.get()) != b"bye\n":
-            self.tell(f"it says {line.decode().strip()}")
+            self.on_note(f"it says {line.decode().strip()}")
             yield line.upper()
 
 
@@ -503,7 +489,7 @@ def test_a_conversation(home: Home, script: str, status: str) -> None:
         summary="",
         steps=(replace(step, feed=ImageArchive(image="talk", reference="talk", size=8)),),
     )
-    outcome = applied(home, plan, watch=told, open_feed=lambda _: talk)
+    outcome = applied(home, plan, progress=told, open_feed=lambda _: talk)
     assert (outcome.status, talk.closed) == (status, True)
     assert told.began_with[0] == ("pi1", "talk", 8)
     if "read" in script:

@@ -17,48 +17,48 @@ def home(sshds: Sshds) -> Home:
     return start(sshds, "pi1")
 
 
-def test_a_line_connects_once_and_afresh_when_asked(home: Home) -> None:
+def test_a_link_connects_once_and_again_when_asked(home: Home) -> None:
     """All commands to a robot share a connection; group membership needs a new one."""
-    line = Link(home.robot)
+    link = Link(home.robot)
     assert home.logins == 0
-    assert (line.run("echo", "one"), line.run("echo", "two")) == ("one\n", "two\n")
+    assert (link.run("echo", "one"), link.run("echo", "two")) == ("one\n", "two\n")
     assert home.logins == 1
-    line.afresh()
-    assert line.run("echo", "three") == "three\n"
+    link.reconnect()
+    assert link.run("echo", "three") == "three\n"
     assert home.logins == 2
-    line.close()
+    link.close()
     with pytest.raises(LinkLost, match="interrupted by Ctrl-C"):
-        line.run("echo", "four")
+        link.run("echo", "four")
 
 
 def test_a_command_that_fails_is_explained(home: Home) -> None:
     """What it means where that is known, its own last words where not, its name where it said nothing."""
-    line = Link(home.robot)
+    link = Link(home.robot)
     for script, what in (
-        ("echo 'write x: no space left on device' >&2; exit 3", "its disk is full"),
+        ("echo 'write x: no space left on device' >&2; exit 3", "the robot's disk is full"),
         ("echo 'some new trouble' >&2; exit 3", "some new trouble"),
         ("exit 3", "`sh` ended with code 3"),
     ):
         with pytest.raises(CommandFailed) as caught:
-            line.run("sh", "-c", script)
+            link.run("sh", "-c", script)
         assert (caught.value.what, caught.value.code) == (what, 3)
-    line.close()
+    link.close()
 
 
 def test_the_facts_of_a_robot(sshds: Sshds) -> None:
     """One round trip; what its login scripts print is kept apart."""
     home = start(sshds, "pi1", before="echo Welcome")
     (home.path / ".fleet/releases/abc").mkdir(parents=True)
-    line = Link(home.robot)
-    seen = line.facts()
-    line.close()
+    link = Link(home.robot)
+    seen = link.facts()
+    link.close()
     assert (seen.fleet.releases, seen.login.noise, seen.login.name) == (("abc",), "Welcome", home.robot.user)
 
 
 def test_a_login_that_runs_no_commands_is_told_so(sshds: Sshds) -> None:
     """A restricted shell answers something else, and exits well."""
     server = sshds.start("pi1", options=("ForceCommand echo only git here >&2",))
-    line = Link(server.robot())
+    link = Link(server.robot())
     with pytest.raises(NotAsPlanned, match="the robot's shell did not run the probe: only git here"):
-        line.facts()
-    line.close()
+        link.facts()
+    link.close()

@@ -26,8 +26,8 @@ def robots(*names: str) -> list[Robot]:
     return [PI.model_copy(update={"name": name}) for name in names]
 
 
-def done(line: Link) -> Outcome:
-    return Outcome(robot=line.robot.name, status="done")
+def done(link: Link) -> Outcome:
+    return Outcome(robot=link.robot.name, status="done")
 
 
 def test_one_robots_failure_is_its_own(sshds: Sshds) -> None:
@@ -38,12 +38,12 @@ def test_one_robots_failure_is_its_own(sshds: Sshds) -> None:
     (good.path / "fine").touch()
     (last.path / "fine").touch()
 
-    def work(line: Link) -> Outcome:
-        line.run("ls", "fine")
-        return done(line)
+    def work(link: Link) -> Outcome:
+        link.run("ls", "fine")
+        return done(link)
 
     told = Told()
-    outcomes = each([good.robot, broken.robot, unknown.robot, away, last.robot], work, watch=told)
+    outcomes = each([good.robot, broken.robot, unknown.robot, away, last.robot], work, progress=told)
     assert statuses(outcomes) == {
         "pi1": "done",
         "pi2": "failed",
@@ -63,22 +63,22 @@ def test_no_more_at_once_than_may_be() -> None:
     """A pool: as many as allowed, and never more."""
     lock, full, now, most = threading.Lock(), threading.Barrier(3, timeout=10), [0], [0]
 
-    def work(line: Link) -> Outcome:
+    def work(link: Link) -> Outcome:
         with lock:
             now[0] += 1
             most[0] = max(most[0], now[0])
         full.wait()
         with lock:
             now[0] -= 1
-        return done(line)
+        return done(link)
 
-    outcomes = each(robots("a", "b", "c", "d", "e", "f"), work, watch=Told(), at_once=3)
+    outcomes = each(robots("a", "b", "c", "d", "e", "f"), work, progress=Told(), at_once=3)
     assert (len(outcomes), most[0]) == (6, 3)
 
 
 def test_nobody_to_work_for() -> None:
     """No robots, no outcomes, no waiting."""
-    assert each([], done, watch=Told()) == ()
+    assert each([], done, progress=Told()) == ()
 
 
 def test_a_bug_is_raised_when_the_others_have_ended() -> None:
@@ -86,17 +86,17 @@ def test_a_bug_is_raised_when_the_others_have_ended() -> None:
     ended: list[str] = []
     go = threading.Event()
 
-    def work(line: Link) -> Outcome:
-        if line.robot.name == "bug":
+    def work(link: Link) -> Outcome:
+        if link.robot.name == "bug":
             go.set()
             raise ZeroDivisionError
         go.wait(10)
         time.sleep(0.1)
-        ended.append(line.robot.name)
-        return done(line)
+        ended.append(link.robot.name)
+        return done(link)
 
     with pytest.raises(ZeroDivisionError):
-        each(robots("a", "bug", "b"), work, watch=Told())
+        each(robots("a", "bug", "b"), work, progress=Told())
     assert sorted(ended) == ["a", "b"]
 
 
@@ -105,15 +105,15 @@ def test_ctrl_c_ends_all_that_run_and_tells_what_became_of_each(sshds: Sshds) ->
     quick, slow, asleep = start(sshds, "pi1"), start(sshds, "pi2"), start(sshds, "pi3")
     closed: list[str] = []
 
-    def work(line: Link) -> Outcome:
-        if line.robot.name == "pi1":
-            return done(line)
+    def work(link: Link) -> Outcome:
+        if link.robot.name == "pi1":
+            return done(link)
         try:
-            line.run("sh", "-c", "touch began; sleep 20", limit=40)
+            link.run("sh", "-c", "touch began; sleep 20", limit=40)
         except LinkLost:
-            closed.append(line.robot.name)
+            closed.append(link.robot.name)
             raise
-        return done(line)
+        return done(link)
 
     def interrupt() -> None:
         while not all((home.path / "began").exists() for home in (slow, asleep)):
@@ -123,7 +123,7 @@ def test_ctrl_c_ends_all_that_run_and_tells_what_became_of_each(sshds: Sshds) ->
 
     threading.Thread(target=interrupt).start()
     began, told = time.monotonic(), Told()
-    outcomes = each([slow.robot, quick.robot, asleep.robot], work, watch=told)
+    outcomes = each([slow.robot, quick.robot, asleep.robot], work, progress=told)
     assert time.monotonic() - began < 20
     assert statuses(outcomes) == {"pi2": "skipped", "pi1": "done", "pi3": "skipped"}
     assert outcomes[0].reason == "interrupted by Ctrl-C"
@@ -136,13 +136,13 @@ def test_ctrl_c_ends_all_that_run_and_tells_what_became_of_each(sshds: Sshds) ->
 def test_when_nobody_reads_any_more_everything_ends() -> None:
     """`fab logs --follow | head`: the one that notices ends the others, who would follow for ever."""
 
-    def work(line: Link) -> Outcome:
-        if line.robot.name == "writer":
+    def work(link: Link) -> Outcome:
+        if link.robot.name == "writer":
             raise BrokenPipeError
-        assert line.closed.wait(10)
-        return done(line)
+        assert link.closed.wait(10)
+        return done(link)
 
     began = time.monotonic()
     with pytest.raises(BrokenPipeError):
-        each(robots("a", "writer", "b"), work, watch=Told())
+        each(robots("a", "writer", "b"), work, progress=Told())
     assert time.monotonic() - began < 8

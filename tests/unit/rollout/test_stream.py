@@ -59,7 +59,7 @@ def test_bytes_become_lines(said: bytes, lines: list[str]) -> None:
     """The last one need not have an end; what is no text does not stop the rest."""
     got: list[str] = []
     taker = Lines(got.append)
-    taker.heard(said)
+    taker.on_output(said)
     taker.end()
     assert got == lines
 
@@ -69,13 +69,13 @@ def test_where_the_pieces_are_cut_does_not_matter(said: bytes, cuts: list[int]) 
     """Networks cut in the middle of letters."""
     whole: list[str] = []
     taker = Lines(whole.append)
-    taker.heard(said)
+    taker.on_output(said)
     taker.end()
     pieces: list[str] = []
     taker = Lines(pieces.append)
     at = [0, *sorted(min(cut, len(said)) for cut in cuts), len(said)]
     for begin, end in itertools.pairwise(at):
-        taker.heard(said[begin:end])
+        taker.on_output(said[begin:end])
     taker.end()
     assert pieces == whole
 
@@ -91,7 +91,7 @@ def test_a_command_on_many_robots(sshds: Sshds, home: Home) -> None:
         'echo "it\'s $((1+1))"; echo oh >&2; test -e fine || exit 3',
         limit=20,
         printer=printed,
-        watch=Told(),
+        progress=Told(),
     )
     assert statuses(outcomes) == {"pi1": "done", "pi2": "failed", "pi3": "unreachable"}
     assert outcomes[1].reason == "ended with code 3"
@@ -102,17 +102,17 @@ def test_a_command_on_many_robots(sshds: Sshds, home: Home) -> None:
 def test_a_command_gets_no_input_and_a_limit(home: Home) -> None:
     """`cat` ends at once, and what does not end is ended."""
     printed = Printed()
-    assert statuses(stream.run([home.robot], "cat", limit=20, printer=printed, watch=Told())) == {
+    assert statuses(stream.run([home.robot], "cat", limit=20, printer=printed, progress=Told())) == {
         "pi1": "done"
     }
-    (late,) = stream.run([home.robot], "echo one; sleep 20", limit=1, printer=printed, watch=Told())
+    (late,) = stream.run([home.robot], "echo one; sleep 20", limit=1, printer=printed, progress=Told())
     assert (late.status, printed.of("pi1")) == ("failed", ["one"])
     assert "took longer than 1 s" in late.reason
 
 
 def test_without_a_limit(home: Home) -> None:
     """0 is any time."""
-    (outcome,) = stream.run([home.robot], "echo 1", limit=0, printer=Printed(), watch=Told())
+    (outcome,) = stream.run([home.robot], "echo 1", limit=0, printer=Printed(), progress=Told())
     assert outcome.status == "done"
 
 
@@ -125,10 +125,10 @@ def test_logs_are_read_to_their_end(home: Home) -> None:
         return ("printf", "%s\n", robot.name, *facts.fleet.releases)
 
     printed = Printed()
-    (refused,) = stream.logs([home.robot], argv, follow=False, printer=printed, watch=Told())
+    (refused,) = stream.logs([home.robot], argv, follow=False, printer=printed, progress=Told())
     assert refused.reason == "nothing has been shipped to it"
     (home.path / ".fleet/releases/abc").mkdir(parents=True)
-    (done,) = stream.logs([home.robot], argv, follow=False, printer=printed, watch=Told())
+    (done,) = stream.logs([home.robot], argv, follow=False, printer=printed, progress=Told())
     assert (done.status, printed.of("pi1")) == ("done", ["pi1", "abc"])
 
 
@@ -150,7 +150,11 @@ def test_logs_are_followed_until_ctrl_c(home: Home) -> None:
     thread = threading.Thread(target=person)
     thread.start()
     (outcome,) = stream.logs(
-        [home.robot], lambda _robot, _facts: ("sh", "-c", script), follow=True, printer=printed, watch=Told()
+        [home.robot],
+        lambda _robot, _facts: ("sh", "-c", script),
+        follow=True,
+        printer=printed,
+        progress=Told(),
     )
     thread.join()
     assert (outcome.status, printed.of("pi1")) == ("skipped", ["one", "two"])
@@ -171,8 +175,8 @@ def talker() -> Iterator[Robot]:
 def test_so_many_messages_of_a_topic(talker: Robot) -> None:
     """Each line of a message under the robot's name; it ends when all are there."""
     printed = Printed()
-    (outcome,) = stream.topics([talker], "/time", count=2, timeout=5, printer=printed, watch=Told())
-    assert (outcome.status, outcome.summary) == ("done", "heard 2 messages on /time")
+    (outcome,) = stream.topics([talker], "/time", count=2, timeout=5, printer=printed, progress=Told())
+    assert (outcome.status, outcome.summary) == ("done", "received 2 messages on /time")
     assert len(printed.of("pi1")) >= 2
     assert printed.of("pi1")[0] == 'data: "one"'
 
@@ -180,7 +184,7 @@ def test_so_many_messages_of_a_topic(talker: Robot) -> None:
 def test_a_topic_that_falls_silent(talker: Robot) -> None:
     """What came is shown, and the silence is this robot's failure."""
     printed = Printed()
-    (outcome,) = stream.topics([talker], "/time", count=0, timeout=0.5, printer=printed, watch=Told())
+    (outcome,) = stream.topics([talker], "/time", count=0, timeout=0.5, printer=printed, progress=Told())
     assert outcome.status == "failed"
     assert "silent for 0.5 s" in outcome.reason
     assert printed.of("pi1")[-1] == 'data: "three"'

@@ -25,7 +25,7 @@ MEGABYTE = 1 << 20
 
 @pytest.fixture
 def session(sshds: Sshds, sshd: Sshd) -> Iterator[Session]:
-    with connect.connect(sshd.robot(), silence=5, config=sshds.config) as connected:
+    with connect.connect(sshd.robot(), link_timeout=5, config=sshds.config) as connected:
         yield connected
 
 
@@ -46,7 +46,7 @@ def test_a_stream_arrives_whole_and_in_flat_memory(session: Session) -> None:
         told += size
 
     before = peak()
-    said = session.run(("sha256sum",), feed=(piece for _ in range(count)), limit=None, sent=tell)
+    said = session.run(("sha256sum",), feed=(piece for _ in range(count)), limit=None, on_sent=tell)
     assert said.output.split()[0] == digest.hexdigest()
     assert told == count * len(piece)
     assert peak() - before < 60
@@ -69,7 +69,7 @@ def test_much_output_for_a_hearer_is_not_kept(session: Session) -> None:
         count += len(data)
 
     before = peak()
-    said = session.run(("head", "-c", "600M", "/dev/zero"), heard=hear)
+    said = session.run(("head", "-c", "600M", "/dev/zero"), on_output=hear)
     assert count == 600 * MEGABYTE
     assert said.output == ""
     assert peak() - before < 60
@@ -79,7 +79,7 @@ def test_a_command_that_talks_while_it_is_fed_does_not_deadlock(session: Session
     """Both directions are full at once: 32 MB in, 32 MB out on each of two ways out."""
     piece = os.urandom(MEGABYTE)
     heard: list[bytes] = []
-    said = session.run(("tee", "/dev/stderr"), feed=(piece for _ in range(32)), heard=heard.append)
+    said = session.run(("tee", "/dev/stderr"), feed=(piece for _ in range(32)), on_output=heard.append)
     assert b"".join(heard) == piece * 32
     assert len(said.errors) > 32 * MEGABYTE / 4
 
@@ -154,7 +154,7 @@ def test_an_open_input_ends_with_the_connection(session: Session, tmp_path: Path
 
     threading.Thread(target=leave).start()
     with pytest.raises(LinkLost):
-        session.run(("sh", "-c", script), feed=None, limit=None, heard=hear)
+        session.run(("sh", "-c", script), feed=None, limit=None, on_output=hear)
     deadline = time.monotonic() + 10
     while not (tmp_path / "ended").exists() and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -169,7 +169,7 @@ def test_output_is_heard_as_it_comes(session: Session, tmp_path: Path) -> None:
         (tmp_path / data.decode().strip()).touch()
 
     wait = f"while [ ! -e {tmp_path}/one ]; do sleep 0.02; done"
-    assert session.run(("sh", "-c", f"echo one; {wait}; echo two"), limit=10, heard=hear).code == 0
+    assert session.run(("sh", "-c", f"echo one; {wait}; echo two"), limit=10, on_output=hear).code == 0
     assert (tmp_path / "two").exists()
 
 
@@ -180,7 +180,7 @@ def test_a_hearer_that_fails_ends_the_connection(session: Session) -> None:
         raise BrokenPipeError("head has ended")
 
     with pytest.raises(BrokenPipeError, match="head has ended"):
-        session.run(("echo", "hello"), heard=hear)
+        session.run(("echo", "hello"), on_output=hear)
 
 
 def test_a_command_without_output_left_runs_to_its_end(session: Session) -> None:
@@ -200,20 +200,20 @@ def test_output_held_open_by_what_a_command_started_is_not_waited_for(session: S
 
 def test_a_quiet_command_outlasts_the_silence(sshds: Sshds, sshd: Sshd) -> None:
     """The robot is asked whether it is there, and its sshd answers."""
-    with connect.connect(sshd.robot(), silence=1, config=sshds.config) as session:
+    with connect.connect(sshd.robot(), link_timeout=1, config=sshds.config) as session:
         assert session.run(("sh", "-c", "sleep 3; echo slept")).output == "slept\n"
 
 
 @pytest.mark.parametrize("feeding", [False, True])
 def test_a_robot_that_freezes_is_noticed(sshds: Sshds, sshd: Sshd, *, feeding: bool) -> None:
     """In mid-command and in mid-stream: its kernel still answers, nothing else does."""
-    with connect.connect(sshd.robot(), silence=1.5, config=sshds.config) as session:
+    with connect.connect(sshd.robot(), link_timeout=1.5, config=sshds.config) as session:
         feed = (bytes(MEGABYTE) for _ in range(1 << 20))
         threading.Timer(0.5, sshd.signal, args=(signal.SIGSTOP,)).start()
         started = time.monotonic()
         with pytest.raises(LinkLost, match="nothing was heard from the robot for"):
             session.run(
-                ("cat", "/dev/stdin"), feed=feed if feeding else None, limit=None, heard=lambda _: None
+                ("cat", "/dev/stdin"), feed=feed if feeding else None, limit=None, on_output=lambda _: None
             )
         assert time.monotonic() - started < 5
         sshd.signal(signal.SIGCONT)
@@ -221,7 +221,7 @@ def test_a_robot_that_freezes_is_noticed(sshds: Sshds, sshd: Sshd, *, feeding: b
 
 def test_a_robot_that_freezes_for_a_moment_is_waited_for(sshds: Sshds, sshd: Sshd) -> None:
     """A Wi-Fi roam takes seconds."""
-    with connect.connect(sshd.robot(), silence=4, config=sshds.config) as session:
+    with connect.connect(sshd.robot(), link_timeout=4, config=sshds.config) as session:
         threading.Timer(0.3, sshd.signal, args=(signal.SIGSTOP,)).start()
         threading.Timer(2.3, sshd.signal, args=(signal.SIGCONT,)).start()
         assert session.run(("sh", "-c", "sleep 1; echo back")).output == "back\n"

@@ -155,7 +155,7 @@ def test_a_dead_jump_host_does_not_hold_up_the_end(sshds: Sshds) -> None:
     """Two connections, one inside the other, the outer one frozen in mid-stream."""
     jump, inner = sshds.start("jump"), sshds.start("inner")
     through(sshds, jump, inner)
-    with connect.connect(inner.robot(address="inner"), silence=1.5, config=sshds.config) as session:
+    with connect.connect(inner.robot(address="inner"), link_timeout=1.5, config=sshds.config) as session:
         threading.Timer(0.5, jump.signal, args=(signal.SIGSTOP,)).start()
         started = time.monotonic()
         with pytest.raises(LinkLost):
@@ -188,6 +188,6 @@ def test_a_proxy_command_that_fails_tells_why(sshds: Sshds, sshd: Sshd) -> None:
     """In its own words, at once."""
     sshds.configure("ProxyCommand sh -c 'echo no route to %h >&2; exit 1'")
     started = time.monotonic()
-    with pytest.raises(Unreachable, match=r"the ProxyCommand to .* fails: no route to"):
+    with pytest.raises(Unreachable, match=r"the ProxyCommand to .* failed: no route to"):
         sshds.log_in(sshd)
     assert time.monotonic() - started < 5

@@ -41,16 +41,18 @@ def test_a_port_that_says_nothing_is_given_up(sshds: Sshds, sshd: Sshd, *, accep
             threading.Thread(target=lambda: accepted.enter_context(silent.accept()[0]), daemon=True).start()
         robot = sshd.robot().model_copy(update={"port": port})
         started = time.monotonic()
-        with pytest.raises(Unreachable, match=f"127.0.0.1:{port} accepts the connection and says nothing"):
-            connect.connect(robot, patience=0.5, config=sshds.config)
+        with pytest.raises(
+            Unreachable, match=f"127.0.0.1:{port} accepts the connection but sends no SSH banner"
+        ):
+            connect.connect(robot, connect_timeout=0.5, config=sshds.config)
         assert time.monotonic() - started < 3
 
 
 def test_a_frozen_sshd_is_given_up(sshds: Sshds, sshd: Sshd) -> None:
     """No connection is ever waited for without end."""
     sshd.signal(signal.SIGSTOP)
-    with pytest.raises(Unreachable, match="says nothing"):
-        connect.connect(sshd.robot(), patience=0.5, config=sshds.config)
+    with pytest.raises(Unreachable, match="sends no SSH banner"):
+        connect.connect(sshd.robot(), connect_timeout=0.5, config=sshds.config)
 
 
 @contextlib.contextmanager
@@ -82,14 +84,14 @@ def test_a_key_exchange_that_stops_is_given_up(sshds: Sshds, sshd: Sshd) -> None
     """A robot so busy that it does not get past its banner."""
     with answering(b"SSH-2.0-OpenSSH_9.2\r\n", then_wait=True) as (port, _):
         robot = sshd.robot().model_copy(update={"port": port})
-        with pytest.raises(Unreachable, match="stops answering in the key exchange"):
-            connect.connect(robot, patience=0.5, config=sshds.config)
+        with pytest.raises(Unreachable, match="stopped answering during the key exchange"):
+            connect.connect(robot, connect_timeout=0.5, config=sshds.config)
 
 
 def test_a_server_of_another_kind_is_told(sshds: Sshds, sshd: Sshd) -> None:
     """What it says is no key exchange."""
     with answering(b"SSH-2.0-x\r\nHTTP/1.1 400 Bad Request\r\n\r\n", then_wait=False) as (port, served):
-        with pytest.raises(Unreachable, match="breaks off the key exchange"):
+        with pytest.raises(Unreachable, match="broke off the key exchange"):
             connect.connect(sshd.robot().model_copy(update={"port": port}), config=sshds.config)
         assert len(served) == 1
 
@@ -97,8 +99,10 @@ def test_a_server_of_another_kind_is_told(sshds: Sshds, sshd: Sshd) -> None:
 def test_a_server_that_hangs_up_is_tried_again(sshds: Sshds, sshd: Sshd) -> None:
     """MaxStartups looks like this; so do a blocked address and a wrong port, as the message says in the end."""
     with answering(b"", then_wait=False) as (port, served):
-        with pytest.raises(Unreachable, match=r"hangs up, or is not an SSH server.*MaxStartups"):
-            connect.connect(sshd.robot().model_copy(update={"port": port}), patience=0.5, config=sshds.config)
+        with pytest.raises(Unreachable, match=r"closed the connection, or is not an SSH server.*MaxStartups"):
+            connect.connect(
+                sshd.robot().model_copy(update={"port": port}), connect_timeout=0.5, config=sshds.config
+            )
         assert len(served) == connect.ATTEMPTS
 
 
@@ -123,7 +127,7 @@ def test_a_link_that_is_lost_is_never_taken_for_a_refusal(sshds: Sshds, sshd: Ss
         while link.cuts < len(link.todo):
             with (
                 pytest.raises((Unreachable, LinkLost)),
-                connect.connect(server.robot(), patience=1, config=sshds.config) as session,
+                connect.connect(server.robot(), connect_timeout=1, config=sshds.config) as session,
             ):
                 session.run(("cat",), feed=(bytes(4000),))
 
@@ -200,7 +204,7 @@ def test_a_cut_cable_is_noticed(sshds: Sshds, cable: Cable, *, feeding: bool) ->
     """In mid-command and in mid-stream; the next command does not hang either, nor the next connection."""
     server = sshds.start(address=cable.address, within=("ip", "netns", "exec", cable.namespace))
     feed = (bytes(1 << 20) for _ in range(1 << 20)) if feeding else None
-    with connect.connect(server.robot(), silence=2, config=sshds.config) as session:
+    with connect.connect(server.robot(), link_timeout=2, config=sshds.config) as session:
         threading.Timer(0.5, cable.cut).start()
         started = time.monotonic()
         with pytest.raises(LinkLost):
@@ -208,8 +212,8 @@ def test_a_cut_cable_is_noticed(sshds: Sshds, cable: Cable, *, feeding: bool) ->
         with pytest.raises(LinkLost):
             session.run(("true",))
         assert time.monotonic() - started < 8
-    with pytest.raises(Unreachable, match=r"does not answer within 1 s|cannot be reached"):
-        connect.connect(server.robot(), patience=1, config=sshds.config)
+    with pytest.raises(Unreachable, match=r"did not answer within 1 s|cannot be reached"):
+        connect.connect(server.robot(), connect_timeout=1, config=sshds.config)
 
 
 def test_a_cut_cable_to_a_jump_host_is_noticed(sshds: Sshds, cable: Cable) -> None:
@@ -218,7 +222,7 @@ def test_a_cut_cable_to_a_jump_host_is_noticed(sshds: Sshds, cable: Cable) -> No
     jump = sshds.start("jump", address=cable.address, within=within)
     inner = sshds.start("inner", within=within)
     sshds.configure(f"Host 127.0.0.1\n  ProxyJump {cable.address}\nHost *\n  IdentityFile {jump.identity}")
-    with connect.connect(inner.robot(), silence=2, config=sshds.config) as session:
+    with connect.connect(inner.robot(), link_timeout=2, config=sshds.config) as session:
         threading.Timer(0.5, cable.cut).start()
         started = time.monotonic()
         with pytest.raises(LinkLost):

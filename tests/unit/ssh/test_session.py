@@ -49,7 +49,7 @@ WORDS = st.one_of(
 
 @pytest.fixture
 def session(sshds: Sshds, sshd: Sshd) -> Iterator[Session]:
-    with connect.connect(sshd.robot(), silence=5, config=sshds.config) as connected:
+    with connect.connect(sshd.robot(), link_timeout=5, config=sshds.config) as connected:
         yield connected
 
 
@@ -146,7 +146,7 @@ def test_a_closed_session_runs_nothing(session: Session) -> None:
 
 def test_a_frozen_robot_starts_no_command_and_is_noticed(sshds: Sshds, sshd: Sshd) -> None:
     """Its kernel answers, its sshd does not: the hardest silence to see."""
-    with connect.connect(sshd.robot(), silence=1, config=sshds.config) as session:
+    with connect.connect(sshd.robot(), link_timeout=1, config=sshds.config) as session:
         sshd.signal(signal.SIGSTOP)
         started = time.monotonic()
         with pytest.raises(LinkLost, match="before the command started"):

@@ -13,12 +13,12 @@ from tests.support.sshd import free_port
 WATCHED = {"KEEPIDLE": 5, "KEEPINTVL": 5, "KEEPCNT": 4, "USER_TIMEOUT": 25_000, "NODELAY": 1}
 
 
-def connect(host: str, port: int, *, patience: float = 2, silence: float = 25) -> socket.socket:
-    return tcp.connect(host, port, patience=patience, silence=silence)
+def connect(host: str, port: int, *, connect_timeout: float = 2, link_timeout: float = 25) -> socket.socket:
+    return tcp.connect(host, port, connect_timeout=connect_timeout, link_timeout=link_timeout)
 
 
 def test_the_socket_watches_its_link() -> None:
-    """Idle or under load, the kernel gives up after the silence, not after a quarter of an hour."""
+    """Idle or under load, the kernel gives up after the link_timeout, not after a quarter of an hour."""
     with socket.create_server(("127.0.0.1", 0)) as server, connect(*server.getsockname()) as sock:
         assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
         options = {
@@ -39,7 +39,7 @@ def test_a_name_with_two_addresses_is_tried_on_both() -> None:
 def test_a_refused_connection_is_told() -> None:
     """The robot is there, its sshd is not."""
     port = free_port()
-    with pytest.raises(Unreachable, match=f"127.0.0.1 refuses connections to port {port}; is sshd"):
+    with pytest.raises(Unreachable, match=f"127.0.0.1 refuses connections to port {port}; check that sshd"):
         connect("127.0.0.1", port)
 
 
@@ -58,8 +58,8 @@ def test_a_host_that_swallows_everything_is_given_up() -> None:
             sock.setblocking(False)
             assert sock.connect_ex(full.getsockname()) in (0, errno.EINPROGRESS)
         started = time.monotonic()
-        with pytest.raises(Unreachable, match=r"127.0.0.1 does not answer within 0.5 s"):
-            connect("127.0.0.1", full.getsockname()[1], patience=0.5)
+        with pytest.raises(Unreachable, match=r"127.0.0.1 did not answer within 0.5 s"):
+            connect("127.0.0.1", full.getsockname()[1], connect_timeout=0.5)
         assert time.monotonic() - started < 2
         for sock in waiting:
             sock.close()

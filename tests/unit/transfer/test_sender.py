@@ -167,8 +167,8 @@ def test_a_batch_is_served_and_the_rate_is_recorded(desk: Desk) -> None:
     server = desk.sender.open(batch)
     assert isinstance(server, UploadServer)
     for upload in batch.pieces:
-        server.heard(f"need {upload.digest} 0\n".encode())
-    server.heard(b"enough\n")
+        server.on_output(f"need {upload.digest} 0\n".encode())
+    server.on_output(b"enough\n")
     assert len(b"".join(server)) == batch.size
     server.sent, server.seconds = 2_000_000, 2.0
     server.close()

@@ -42,7 +42,7 @@ class Desk:
         self.server = UploadServer(
             BATCH, open_blob=self._open, limiter=Noted(rate), on_end=lambda *report: self.ended.append(report)
         )
-        self.server.tell = self.notes.append
+        self.server.on_note = self.notes.append
 
     def _open(self, digest: str) -> IO[bytes]:
         if digest != NAMES[1]:
@@ -52,7 +52,7 @@ class Desk:
     def answers(self, *output: bytes) -> bytes:
         """All bytes that the server sends to a robot with this output, which then closes the connection."""
         for data in output:
-            self.server.heard(data)
+            self.server.on_output(data)
         self.server.close()
         return b"".join(self.server)
 
@@ -91,12 +91,12 @@ def test_an_upload_is_requested_after_another_was_sent() -> None:
     """The server waits for the next request until it is closed."""
     desk = Desk()
     flow = iter(desk.server)
-    desk.server.heard(need(0, 0))
+    desk.server.on_output(need(0, 0))
     assert next(flow) == SKELETON
-    later = threading.Timer(0.05, desk.server.heard, (need(1, len(LAYER) - 3),))
+    later = threading.Timer(0.05, desk.server.on_output, (need(1, len(LAYER) - 3),))
     later.start()
     assert next(flow) == LAYER[-3:]
-    desk.server.heard(b"enough\n")
+    desk.server.on_output(b"enough\n")
     assert list(flow) == []
     later.join()
 
@@ -122,7 +122,7 @@ def test_the_report_on_the_link() -> None:
     """The address, the bytes, and the seconds between the first request and the last byte."""
     desk = Desk(rate=1_000_000)
     for data in (need(0, 0), need(1, 0), b"enough\n"):
-        desk.server.heard(data)
+        desk.server.on_output(data)
     sent = b"".join(desk.server)
     desk.server.close()
     ((to, count, seconds),) = desk.ended
@@ -146,7 +146,7 @@ def test_a_blob_that_was_removed_is_an_error_of_the_desktop() -> None:
         raise DesktopError("a packed layer is gone")
 
     server = UploadServer(batch, open_blob=gone, limiter=RateLimiter(None), on_end=lambda *_: None)
-    server.heard(f"need {'f' * 64} 0\n".encode())
+    server.on_output(f"need {'f' * 64} 0\n".encode())
     with pytest.raises(DesktopError, match="is gone"):
         list(server)
 
