@@ -41,6 +41,7 @@ def test_apt_is_told_to_wait_for_dpkgs_locks() -> None:
     assert 'DPkg::Lock::Timeout "7"' in run("sh", "-c", 'cat "$APT_CONFIG"', patience=7).stdout
 
 
+@pytest.mark.usefixtures("desktop")  # it takes long
 def test_a_command_that_does_not_end_is_ended() -> None:
     """Also one that ignores the first request, with all that it started; the sentence says so."""
     started = time.monotonic()

@@ -186,7 +186,7 @@ class Pi:
 
 
 @pytest.fixture
-def pi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pi]:
+def pi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, desktop: None) -> Iterator[Pi]:  # noqa: ARG001
     made = Pi(tmp_path, Engine())
     monkeypatch.setattr(load_archive, "INCOMING", made.engine.incoming)
     yield made

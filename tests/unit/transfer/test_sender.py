@@ -244,6 +244,7 @@ def test_rates_that_cannot_be_written_are_no_failure(tmp_path: Path) -> None:
     assert rates.of("pi") is None
 
 
+@pytest.mark.usefixtures("desktop")
 def test_the_images_of_this_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the engine to the pieces, in the login's cache, which is tidied at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
