@@ -6,6 +6,7 @@
 # `test`, what the tests need is there afterwards, too.
 set -eu
 for_tests="${1:-}"
+log="${TMPDIR:-/tmp}/fleet-desktop-$(id -un).log" # what apt-get says; an error names it
 PATH="$PATH:/usr/sbin:/sbin" # where dockerd and update-binfmts are; a user's PATH may lack it
 
 say() { echo "desktop: $*"; }
@@ -13,6 +14,7 @@ fail() {
     say "$*" >&2
     exit 1
 }
+quietly() { "$@" >>"$log" 2>&1; }
 have() { command -v "$1" >/dev/null 2>&1; }
 
 as_root() {
@@ -133,13 +135,14 @@ install_missing() {
     [ -n "$(missing)" ] || return 0
     have apt-get || fail "missing: $(missing | tr '\n' ' ')- and no apt-get here. Cure: install them your system's way"
     say "renewing apt's package lists"
-    as_root apt-get -qq -o DPkg::Lock::Timeout=300 update || say "that failed; going on with the old ones"
+    : >"$log"
+    quietly as_root apt-get -qq -o DPkg::Lock::Timeout=300 update || say "that failed; continuing with the old ones"
     packages="$(missing | sort -u | tr '\n' ' ')"
     say "installing with apt-get: $packages"
     # One word per package.
     # shellcheck disable=SC2086
-    without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
-        install --no-install-recommends $packages >/dev/null
+    quietly without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
+        install --no-install-recommends $packages || fail "apt-get failed: $(grep '^E:' "$log" | tail -n 1). Its whole output: $log"
 }
 
 start_engine() {
