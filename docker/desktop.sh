@@ -6,7 +6,6 @@
 # `test`, what the tests need is there afterwards, too.
 set -eu
 for_tests="${1:-}"
-log="${TMPDIR:-/tmp}/fleet-desktop-$(id -un).log" # what apt-get says; an error names it
 PATH="$PATH:/usr/sbin:/sbin" # where dockerd and update-binfmts are; a user's PATH may lack it
 
 say() { echo "desktop: $*"; }
@@ -121,7 +120,7 @@ without_starting_services() {
         "$@"
         return
     fi
-    as_root sh -c "printf '#!/bin/sh\nexit 101\n' > $refuse && chmod 755 $refuse"
+    as_root sh -c "printf '#!/bin/sh\nexit 101\n' > $refuse && chmod 755 $refuse" || return
     result=0
     "$@" || result=$?
     as_root rm -f "$refuse"
@@ -135,7 +134,7 @@ install_missing() {
     [ -n "$(missing)" ] || return 0
     have apt-get || fail "missing: $(missing | tr '\n' ' ')- and no apt-get here. Cure: install them your system's way"
     say "renewing apt's package lists"
-    : >"$log"
+    log="$(mktemp -t fleet-desktop.XXXXXX)" # what apt-get says; an error names it
     quietly as_root apt-get -qq -o DPkg::Lock::Timeout=300 update || say "that failed; continuing with the old ones"
     packages="$(missing | sort -u | tr '\n' ' ')"
     say "installing with apt-get: $packages"
@@ -143,6 +142,7 @@ install_missing() {
     # shellcheck disable=SC2086
     quietly without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
         install --no-install-recommends $packages || fail "apt-get failed: $(grep '^E:' "$log" | tail -n 1). Its whole output: $log"
+    rm -f "$log"
 }
 
 start_engine() {
