@@ -72,7 +72,7 @@ lint: env ## style, spelling, types, layers, shell scripts, the workflow
 	$(STEP) 'Style and types'
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
-	@$(VENV)/bin/lint-imports --no-cache
+	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(VENV)/bin/shellcheck $(SCRIPTS)
 	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
 	@$(VENV)/bin/codespell
