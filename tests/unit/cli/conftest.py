@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
+def mine(tmp_path_factory: pytest.TempPathFactory, desktop: None) -> Iterator[Project]:  # noqa: ARG001
     """A project with two robots and one that is away. Tests that share it change nothing in it."""
     sshds = Sshds(tmp_path_factory.mktemp("project"))
     yield project.make(sshds, "pi1", "pi2")

@@ -242,6 +242,7 @@ def test_what_is_no_digest_is_no_path(wanted: str) -> None:
     assert ran("--chain", CHAIN, wanted).returncode == 2
 
 
+@pytest.mark.usefixtures("desktop")  # it takes long
 def test_large_layers_are_rebuilt_within_the_promised_memory(robot: Robot) -> None:
     """The program and zstd, each; the range lies in memory too: 150 MB in all."""
     content = noise("large", 70 << 20)

@@ -83,6 +83,7 @@ def test_far_repetitions_cost_next_to_nothing() -> None:
     assert len(packed(data, "zstd")) > 1.9 * len(piece)
 
 
+@pytest.mark.usefixtures("desktop")  # it takes long
 def test_a_robot_unpacks_with_the_memory_that_is_promised() -> None:
     """`zstd` needs 8 MiB; the long one 64, which `zstd -d` takes without --memory, and not 32."""
     data = noise(2, 1 << 20) * 20 + bytes(130 << 20)

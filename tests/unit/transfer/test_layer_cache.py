@@ -269,6 +269,7 @@ def test_many_want_the_same_at_once(tmp_path: Path) -> None:
     assert {blob.hex for blob in results[0].values()} <= {path.name for path in desk.folder.iterdir()}
 
 
+@pytest.mark.usefixtures("desktop")
 def test_out_of_the_engine_of_this_computer(tmp_path: Path) -> None:
     """Its own archive, whatever version it is: the layers are those that went in, and the ID is the configuration's."""
     engine = Engine()
