@@ -9,7 +9,7 @@ JOBS := 2
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench bench-local bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo test test-unit test-lab lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -63,6 +63,9 @@ lint: env ## style and types
 format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
+
+reference: env ## write the pages of docs/reference/ that say what the code says
+	@$(VENV)/bin/python -m docs.generate
 
 bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
 
