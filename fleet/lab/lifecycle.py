@@ -23,7 +23,7 @@ from fleet.lab.virtual_pi import VirtualPi, ensure_image, run_command
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-RECIPE = Path(__file__).parent.parent / "docker" / "lab"
+RECIPE = Path(__file__).parents[2] / "docker" / "lab"
 LARGEST = 200  # Pis; their addresses fit into the smallest network Docker hands out
 BOOT_TAKES = 120.0  # seconds; one second is usual, a desktop that is busy with many Pis takes longer
 NETWORK_TRIES = 5
