@@ -15,6 +15,7 @@ PAGES = sorted(
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 
 _FENCED = re.compile(r"^( *)```(?:sh|console|text)?\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+_INDENTED = re.compile(r"^ {4,}(.+)$", re.MULTILINE)
 _SPAN = re.compile(r"`([^`\n]+)`")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -26,7 +27,8 @@ def text(path: Path) -> str:
 def commands(page: str, program: str) -> list[str]:
     """The lines and spans of code that begin with a program, each up to what a shell would end it with."""
     blocks = "\n".join(body for _, body in _FENCED.findall(page))
-    code = [*blocks.splitlines(), *_SPAN.findall(_FENCED.sub("", page))]
+    rest = _FENCED.sub("", page)
+    code = [*blocks.splitlines(), *_INDENTED.findall(rest), *_SPAN.findall(rest)]
     lines = (line.strip().removeprefix("$ ") for line in code)
     parts = (part.strip() for line in lines for part in re.split(r"&&|\||;|  +#", line))
     return [part for part in parts if part.startswith(f"{program} ")]
