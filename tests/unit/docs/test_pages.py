@@ -75,12 +75,12 @@ def test_make_targets_exist(path: Path) -> None:
 
 
 def test_every_verb_is_in_the_readme() -> None:
-    """The table of verbs and `fab --list` agree."""
+    """The table of verbs and `fab --list` agree; `help` is what `fab` alone shows."""
     cells = re.findall(r"^\| (`fab .+?) \|", text(ROOT / "README.md"), flags=re.MULTILINE)
     named = {
         name.removeprefix("fab ").split()[0] for cell in cells for name in _SPAN.findall(cell) if name != "--"
     }
-    assert named == set(cli.ns.task_names)
+    assert named == set(cli.ns.task_names) - {"help"}
 
 
 def test_every_page_can_be_reached_from_the_readme() -> None:
