@@ -13,7 +13,7 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh docker/*/*.sh) docker/lab/f
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab lint format bench bench-local bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -83,6 +83,9 @@ format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
 	@$(VENV)/bin/shfmt --write $(SCRIPTS)
+
+reference: env ## write the pages of docs/reference/ that say what the code says
+	@$(VENV)/bin/python -m docs.generate
 
 bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
 
