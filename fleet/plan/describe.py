@@ -63,5 +63,5 @@ def _shown(argument: str) -> str:
     """The argument, or for a long script only its first line after ``#!``, which says what the script does."""
     script = argument.partition("\n")[2] if argument.startswith("#!") else argument
     first, _, rest = script.partition("\n")
-    count = rest.count("\n") + 1
+    count = len(rest.splitlines())
     return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

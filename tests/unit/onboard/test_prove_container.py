@@ -5,6 +5,8 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
+import pytest
+
 from fleet import onboard
 from tests.support.handmade import Engine
 
@@ -19,6 +21,7 @@ def run(name: str, *, path: str = os.environ["PATH"]) -> subprocess.CompletedPro
     )
 
 
+@pytest.mark.usefixtures("desktop")
 def test_a_container_of_this_system_runs() -> None:
     """Without any registry; its image is removed again."""
     engine = Engine()
@@ -28,6 +31,7 @@ def test_a_container_of_this_system_runs() -> None:
         engine.clear()
 
 
+@pytest.mark.usefixtures("desktop")
 def test_a_container_that_does_not_run_is_an_error(tmp_path: Path) -> None:
     """The exit code is that of `docker run`, and the image is removed all the same."""
     docker = tmp_path / "docker"

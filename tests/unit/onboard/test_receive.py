@@ -193,7 +193,7 @@ class Pi:
 
 
 @pytest.fixture
-def pi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pi]:
+def pi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, desktop: None) -> Iterator[Pi]:  # noqa: ARG001
     robot = Pi(tmp_path, Engine())
     monkeypatch.setattr(load_archive, "INCOMING", robot.engine.incoming)
     yield robot

@@ -100,7 +100,7 @@ def test_a_ready_robot_needs_no_rights() -> None:
     [
         ({"docker_state": "stopped", "docker_version": ""}, ["start Docker now and at every boot"]),
         (
-            {"engine": "stopped", "docker": "", "interrupted": True},
+            {"docker_state": "stopped", "docker_version": "", "interrupted": True},
             ["complete an interrupted installation of packages", "start Docker now and at every boot"],
         ),
         ({"interrupted": True}, []),

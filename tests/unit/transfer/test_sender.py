@@ -183,6 +183,7 @@ def test_whole_images_are_read_out_of_docker(desk: Desk) -> None:
         desk.sender.open(Bytes(label="3 files", data=b"abc"))
 
 
+@pytest.mark.usefixtures("desktop")
 def test_the_images_of_this_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From Docker to the uploads, in the login's cache, which is tidied at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
