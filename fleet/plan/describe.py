@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 from fleet.robot.paths import HISTORY
 from fleet.units import human_bytes, human_seconds
 
-LONG_SCRIPT = 15
+LONG_SCRIPT = 14
 """A script with more lines than this after its first is shown by its first, which is a comment."""
 
 
