@@ -6,10 +6,14 @@ FAB := $(VENV)/bin/fab
 PIS := pi1,pi2,pi3
 # Tests side by side. They mostly wait; those on virtual Pis need a lab of three for each.
 JOBS := 2
+PIP := $(VENV)/bin/pip --disable-pip-version-check install
+PIP_LOG := $(VENV)/pip.log
+PYTEST = $(VENV)/bin/pytest --numprocesses $(JOBS)
+SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh docker/*/*.sh) docker/lab/first-process .ci/run
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo test test-unit test-lab lint format bench bench-local bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -44,25 +48,44 @@ demo: desktop env ## three virtual Pis, from blank to talking; they are left run
 undemo: env ## remove the virtual Pis of the demo, and nothing else
 	@$(FAB) lab.down
 
-test: testbed lint test-unit test-lab ## everything: lint, types, unit tests, then the tests on virtual Pis
+check: lint test-pure ## lint, types and the tests that need only Python: no Docker, no sshd, no root
 
-test-unit: testbed env ## the tests that need no virtual Pi
+test: check test-desktop test-lab ## everything: check, then the tests with Docker and sshd, then those on virtual Pis
+
+test-pure: env
+	$(STEP) 'Tests that need only Python'
+	@$(PYTEST) tests/unit -m 'not desktop' --dist worksteal
+
+test-desktop: testbed env
+	$(STEP) 'Tests that need this computer: Docker, sshd, root'
+	@$(PYTEST) tests/unit -m desktop --dist worksteal
+
+test-unit: testbed env ## all tests that need no virtual Pi
 	$(STEP) 'Unit tests'
-	@$(VENV)/bin/pytest tests/unit --numprocesses $(JOBS) --dist worksteal
+	@$(PYTEST) tests/unit --dist worksteal
 
 test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
-	@$(VENV)/bin/pytest tests/lab --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
+	@$(PYTEST) tests/lab --dist loadfile --no-loadscope-reorder
 
-lint: env ## style and types
+lint: env ## style, spelling, types, layers, shell scripts, the workflow
 	$(STEP) 'Style and types'
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/lint-imports --no-cache --no-logo
+	@$(VENV)/bin/shellcheck $(SCRIPTS)
+	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
+	@$(VENV)/bin/codespell
+	@$(VENV)/bin/zizmor --offline --quiet .github
 	@$(VENV)/bin/mypy
 
 format: env ## put the code into the project's format
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
+	@$(VENV)/bin/shfmt --write $(SCRIPTS)
+
+reference: env ## write the pages of docs/reference/ that say what the code says
+	@$(VENV)/bin/python -m docs.generate
 
 bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
 
@@ -75,9 +98,9 @@ bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the u
 picture: env ## draw the README's picture of what a fleet that runs prints
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture
 
-lock: ## choose new versions of all dependencies (needs uv)
-	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 --upgrade \
-		--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command 'make lock' \
+lock: ## add what pyproject.toml asks for to the lock; make lock UPGRADE=--upgrade: new versions of all (needs uv)
+	@printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --python-version 3.11 $(UPGRADE) \
+		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --custom-compile-command 'make lock' \
 		--group dev pyproject.toml - --output-file requirements.lock
 
 clean: ## remove the demo, the Python environment and all caches
@@ -100,6 +123,7 @@ $(VENV)/ready: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import ensurepip, venv' 2> /dev/null \
 		|| { echo 'Python cannot make environments. Cure: docker/desktop.sh, or sudo apt-get install python3-venv'; exit 1; }
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(VENV)/bin/pip --disable-pip-version-check --quiet install --require-hashes -r requirements.lock
-	@$(VENV)/bin/pip --disable-pip-version-check --quiet install --no-deps --no-build-isolation --editable .
+	@{ $(PIP) --require-hashes -r requirements.lock \
+		&& $(PIP) --no-deps --no-build-isolation --editable .; } > $(PIP_LOG) 2>&1 \
+		|| { grep '^ERROR' $(PIP_LOG); echo 'pip failed. Its whole output: $(PIP_LOG)'; exit 1; }
 	@touch $@

@@ -11,14 +11,14 @@ shift 3
 
 release() { sed -n 's/^VERSION_CODENAME=//p' "$1"; }
 if [ "$(release /etc/os-release)" != "$(release "$base/etc/os-release")" ]; then
-  echo "cross-install: BUILD_BASE and RUN_BASE must be the same Debian release" >&2
-  exit 1
+    echo "cross-install: BUILD_BASE and RUN_BASE must be the same Debian release" >&2
+    exit 1
 fi
 
 work=$(mktemp -d)
 touch "$work.began"
 mkdir -p "$work/lists/partial" "$work/archives/partial"
-cat > "$work/apt.conf" <<CONF
+cat >"$work/apt.conf" <<CONF
 APT::Architecture "$architecture";
 APT::Architectures { "$architecture"; };
 APT::Install-Recommends "false";
@@ -39,16 +39,16 @@ apt-get -q --yes --download-only install "$@"
 # On merged /usr a package's ./lib/... belongs to /usr/lib.
 mkdir -p "$target/usr/bin" "$target/usr/sbin" "$target/usr/lib" "$target/var/lib/dpkg/status.d"
 for directory in bin sbin lib; do
-  ln -s "usr/$directory" "$target/$directory"
+    ln -s "usr/$directory" "$target/$directory"
 done
 for package in "$work"/archives/*.deb; do
-  dpkg-deb --fsys-tarfile "$package" | tar --extract --keep-directory-symlink --directory "$target" \
-    --exclude './usr/share/man/*' --exclude './usr/share/info/*' --exclude './usr/share/lintian/*' \
-    --exclude './usr/share/locale/*' --exclude './usr/include/*'
-  # Where scanners look for packages that dpkg did not configure itself.
-  dpkg-deb --field "$package" > "$target/var/lib/dpkg/status.d/$(dpkg-deb --field "$package" Package)"
+    dpkg-deb --fsys-tarfile "$package" | tar --extract --keep-directory-symlink --directory "$target" \
+        --exclude './usr/share/man/*' --exclude './usr/share/info/*' --exclude './usr/share/lintian/*' \
+        --exclude './usr/share/locale/*' --exclude './usr/include/*'
+    # Where scanners look for packages that dpkg did not configure itself.
+    dpkg-deb --field "$package" >"$target/var/lib/dpkg/status.d/$(dpkg-deb --field "$package" Package)"
 done
-rm -rf "$work" "$target/bin" "$target/sbin" "$target/lib"
+rm -rf "$work" "${target:?}/bin" "${target:?}/sbin" "${target:?}/lib"
 find "$target/usr/share/doc" -not -type d -not -name copyright -delete
 find "$target" -mindepth 1 -type d -empty -delete
 python3 -m compileall -q -j 0 -s "$target" -p / "$target"/usr/lib/python3*

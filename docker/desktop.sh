@@ -9,8 +9,12 @@ for_tests="${1:-}"
 PATH="$PATH:/usr/sbin:/sbin" # where dockerd and update-binfmts are; a user's PATH may lack it
 
 say() { echo "desktop: $*"; }
-fail() { say "$*" >&2; exit 1; }
-have() { command -v "$1" > /dev/null 2>&1; }
+fail() {
+    say "$*" >&2
+    exit 1
+}
+quietly() { "$@" >>"$log" 2>&1; }
+have() { command -v "$1" >/dev/null 2>&1; }
 
 as_root() {
     if [ "$(id -u)" = 0 ]; then
@@ -24,10 +28,10 @@ as_root() {
 
 # --- What is there?
 
-docker_works() { have docker && docker info > /dev/null 2>&1; }
+docker_works() { have docker && docker info >/dev/null 2>&1; }
 
 # By its own file, not by name: engines inside containers show up as processes, too.
-engine_runs() { grep -qsx dockerd "/proc/$(cat /var/run/docker.pid 2> /dev/null)/comm"; }
+engine_runs() { grep -qsx dockerd "/proc/$(cat /var/run/docker.pid 2>/dev/null)/comm"; }
 
 # Every client on PATH is asked, as an old and a new one often live side by side: from version 23 on a client builds with
 # BuildKit if it has the buildx plugin, before that by itself.
@@ -36,7 +40,7 @@ docker_builds() (
     for folder in $PATH; do
         client="$folder/docker"
         [ -x "$client" ] || continue
-        if "$client" buildx version > /dev/null 2>&1; then return 0; fi
+        if "$client" buildx version >/dev/null 2>&1; then return 0; fi
         major="$("$client" --version | sed -n 's/^Docker version \([0-9]*\)\..*/\1/p')"
         if [ -n "$major" ] && [ "$major" -ge 19 ] && [ "$major" -lt 23 ]; then return 0; fi
     done
@@ -56,14 +60,14 @@ arm_runs() {
     esac
 }
 
-python_makes_environments() { python3 -c 'import ensurepip, venv' > /dev/null 2>&1; }
+python_makes_environments() { python3 -c 'import ensurepip, venv' >/dev/null 2>&1; }
 
 # Debian's certificates of its archive have to be there for mmdebstrap; Ubuntu does not bring them.
 debian_keys() { [ -e /usr/share/keyrings/debian-archive-keyring.gpg ] || [ -e /usr/share/keyrings/debian-archive-keyring.pgp ]; }
 
 # --- What is missing?
 
-known_to_apt() { [ -n "$(apt-cache search --names-only "^$1\$" 2> /dev/null)" ]; }
+known_to_apt() { [ -n "$(apt-cache search --names-only "^$1\$" 2>/dev/null)" ]; }
 
 engine_missing() { ! have dockerd && ! docker_works; }
 
@@ -71,7 +75,8 @@ why_docker_does_not_work() {
     answer="$(docker info 2>&1 || true)"
     case "$answer" in
         *"permission denied"*)
-            fail "Docker runs, and this login may not use it. Cure: sudo usermod -aG docker $(id -un), then log in again" ;;
+            fail "Docker runs, and this login may not use it. Cure: sudo usermod -aG docker $(id -un), then log in again"
+            ;;
     esac
     if [ -n "${DOCKER_HOST:-}" ]; then
         fail "DOCKER_HOST=$DOCKER_HOST does not answer. Cure: start that Docker Engine, or unset DOCKER_HOST"
@@ -81,11 +86,16 @@ why_docker_does_not_work() {
 missing() {
     if engine_missing; then
         echo docker.io
-        # Newer Debians have the client and its build plugin in packages of their own.
+        # Newer Debian releases have the client and its build plugin in packages of their own.
         for package in docker-cli docker-buildx; do ! known_to_apt "$package" || echo "$package"; done
         [ "$(id -u)" = 0 ] || echo acl
     elif ! docker_builds; then
-        for package in docker-buildx docker-buildx-plugin; do ! known_to_apt "$package" || { echo "$package"; break; }; done
+        for package in docker-buildx docker-buildx-plugin; do
+            if known_to_apt "$package"; then
+                echo "$package"
+                break
+            fi
+        done
     fi
     have mmdebstrap || echo mmdebstrap
     have arch-test || echo arch-test
@@ -106,12 +116,15 @@ sshd_missing() { [ -n "$for_tests" ] && ! have sshd; }
 
 without_starting_services() {
     refuse=/usr/sbin/policy-rc.d
-    if ! sshd_missing || [ -e "$refuse" ]; then "$@"; return; fi
-    as_root sh -c "printf '#!/bin/sh\nexit 101\n' > $refuse && chmod 755 $refuse"
+    if ! sshd_missing || [ -e "$refuse" ]; then
+        "$@"
+        return
+    fi
+    as_root sh -c "printf '#!/bin/sh\nexit 101\n' > $refuse && chmod 755 $refuse" || return
     result=0
     "$@" || result=$?
     as_root rm -f "$refuse"
-    if [ -d /run/systemd/system ]; then as_root systemctl disable --quiet ssh.service ssh.socket 2> /dev/null || true; fi
+    if [ -d /run/systemd/system ]; then as_root systemctl disable --quiet ssh.service ssh.socket 2>/dev/null || true; fi
     return "$result"
 }
 
@@ -121,13 +134,15 @@ install_missing() {
     [ -n "$(missing)" ] || return 0
     have apt-get || fail "missing: $(missing | tr '\n' ' ')- and no apt-get here. Cure: install them your system's way"
     say "renewing apt's package lists"
-    as_root apt-get -qq -o DPkg::Lock::Timeout=300 update || say "that failed; going on with the old ones"
+    log="$(mktemp -t fleet-desktop.XXXXXX)" # what apt-get says; an error names it
+    quietly as_root apt-get -qq -o DPkg::Lock::Timeout=300 update || say "that failed; continuing with the old ones"
     packages="$(missing | sort -u | tr '\n' ' ')"
     say "installing with apt-get: $packages"
     # One word per package.
     # shellcheck disable=SC2086
-    without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
-        install --no-install-recommends $packages > /dev/null
+    quietly without_starting_services as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o DPkg::Lock::Timeout=300 \
+        install --no-install-recommends $packages || fail "apt-get failed: $(grep '^E:' "$log" | tail -n 1). Its whole output: $log"
+    rm -f "$log"
 }
 
 start_engine() {
@@ -146,12 +161,15 @@ start_engine() {
             as_root mount -t cgroup2 cgroup2 /sys/fs/cgroup
         fi
         say "starting Docker Engine"
-        if ! as_root service docker start > /dev/null 2>&1 || { ! wait_for_docker 10 && ! engine_runs; }; then
+        if ! as_root service docker start >/dev/null 2>&1 || { ! wait_for_docker 10 && ! engine_runs; }; then
             say "starting dockerd directly, as there is no init system; its log: /var/log/dockerd.log"
             as_root sh -c 'nohup setsid dockerd > /var/log/dockerd.log 2>&1 < /dev/null &'
         fi
     fi
-    wait_for_docker 60 || { why_docker_does_not_work; fail "Docker Engine does not start. Cure: see journalctl -u docker or /var/log/dockerd.log"; }
+    wait_for_docker 60 || {
+        why_docker_does_not_work
+        fail "Docker Engine does not start. Cure: see journalctl -u docker or /var/log/dockerd.log"
+    }
 }
 
 wait_for_docker() {
@@ -182,7 +200,7 @@ set_up_emulation() {
         as_root mount -t binfmt_misc binfmt_misc /proc/sys/fs/binfmt_misc || true
     fi
     for name in qemu-aarch64 qemu-arm; do
-        as_root update-binfmts --enable "$name" > /dev/null 2>&1 || true
+        as_root update-binfmts --enable "$name" >/dev/null 2>&1 || true
     done
     arm_runs || say "ARM programs cannot be emulated here; the lab will use this computer's own architecture"
 }

@@ -2,31 +2,31 @@
 
 ::
 
-    FleetError                 everything below; ``what`` happened and the ``cure``
-    ├── Mistake                the person's: refused before anything is touched, exit code 2
+    FleetError                 all errors below: ``what`` happened, and the ``cure``
+    ├── UsageError             the user's mistake, refused before anything is changed; exit code 2
     │   ├── InventoryError     inventory.yaml is not valid (every problem at once)
-    │   ├── SelectionError     --hosts names nobody
-    │   ├── ComposeError       the stack's Compose file is not usable
-    │   └── ImageError         no such local image, or one for another platform
-    ├── DesktopError           this computer lacks something: Docker Engine, a tool, a base image; exit code 1
-    └── RobotError             one robot's: becomes that robot's outcome, exit code 1
+    │   ├── SelectionError     --hosts selects no robot
+    │   ├── ComposeError       the stack's Compose file cannot be used
+    │   └── ImageError         a local image is missing, or for another platform
+    ├── DesktopError           the desktop lacks something: Docker Engine, a tool, a base image; exit code 1
+    └── RobotError             the failure of one robot, which becomes its outcome; exit code 1
         ├── Unreachable        no SSH connection: name, route, port, timeout
         ├── UntrustedHostKey   the host key is unknown, changed or revoked
-        ├── LoginRefused       the robot answered, and does not let this login in
-        ├── NotReady           the robot lacks what this verb needs: Docker, space, the right architecture
-        ├── LinkLost           the connection died under a command
-        ├── TimedOut           a command took longer than it may
-        ├── CommandFailed      a command ended with another exit code than 0
-        └── NotAsPlanned       a command succeeded, and the proof of what it did fails
+        ├── LoginRefused       the robot answered and refuses the login
+        ├── NotReady           the robot lacks something that the verb needs: Docker, disk space, the right architecture
+        ├── LinkLost           the connection was lost while a command ran
+        ├── TimedOut           a command took longer than its limit
+        ├── CommandFailed      a command ended with an exit code other than 0
+        └── NotAsPlanned       a command succeeded, but the check of its effect failed
 """
 
 from __future__ import annotations
 
 
 class FleetError(Exception):
-    """Something a person can act on: one sentence of what happened, one of what cures it.
+    """An error that the user can act on: what happened, and the cure.
 
-    ``what`` is a clause without a full stop; ``cure`` may be empty where there is none to give.
+    ``what`` is a clause without a full stop. ``cure`` may be empty.
     """
 
     exit_code = 1
@@ -41,13 +41,13 @@ class FleetError(Exception):
 
 
 class UsageError(FleetError):
-    """The person at the terminal asked for something that cannot be meant."""
+    """The user asked for something that is not possible."""
 
     exit_code = 2
 
 
 class InventoryError(UsageError):
-    """The inventory file is missing, not YAML, or says something it may not say."""
+    """The inventory file is missing, is not YAML, or breaks a rule of the schema."""
 
 
 class SelectionError(UsageError):
@@ -63,11 +63,11 @@ class ImageError(UsageError):
 
 
 class DesktopError(FleetError):
-    """The computer that runs ``fab`` lacks something this verb needs."""
+    """The desktop lacks something that this verb needs."""
 
 
 class RobotError(FleetError):
-    """One robot's failure. It ends as that robot's outcome; the others go on."""
+    """The failure of one robot. It becomes that robot's outcome; the work on other robots continues."""
 
 
 class Unreachable(RobotError):
@@ -75,7 +75,7 @@ class Unreachable(RobotError):
 
 
 class UntrustedHostKey(RobotError):
-    """The robot's host key is not known, is not the known one, or is revoked."""
+    """The robot's host key is unknown, has changed, or is revoked."""
 
 
 class LoginRefused(RobotError):
@@ -83,21 +83,21 @@ class LoginRefused(RobotError):
 
 
 class NotReady(RobotError):
-    """The robot lacks what this verb needs; nothing was changed."""
+    """The robot lacks something that this verb needs; nothing was changed."""
 
 
 class LinkLost(RobotError):
-    """The connection ended while a command ran on it."""
+    """The connection was lost while a command ran."""
 
 
 class TimedOut(RobotError):
-    """A command ran longer than its limit and was ended on the robot."""
+    """A command ran longer than its limit and was stopped on the robot."""
 
 
 class CommandFailed(RobotError):
     """A command on the robot ended with an exit code other than 0.
 
-    ``code`` is the exit code; ``output`` what the command said (its standard error where it wrote any).
+    ``code`` is the exit code; ``output`` is its standard error, or its standard output if that is empty.
     """
 
     def __init__(self, what: str, *, cure: str = "", code: int, output: str = "") -> None:
@@ -107,4 +107,4 @@ class CommandFailed(RobotError):
 
 
 class NotAsPlanned(RobotError):
-    """A command said it succeeded, and looking again shows that it did not."""
+    """A command reported success, but the check of its effect failed."""

@@ -1,7 +1,7 @@
-"""What of a robot's words may reach the terminal?
+"""Which parts of a robot's output may reach the user's terminal?
 
-Programs print control sequences: colours, and others that retitle windows, move the cursor over other lines or make
-the terminal type. A robot's output is shown in ours, so only its colours pass.
+Programs print control sequences: colours, and others that change the window title, move the cursor over other lines or
+make the terminal send input. Only text and colours pass.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]{0,40}m")
 
 
 def plain(text: str) -> str:
-    """The text without any control; line ends and tabs stay."""
+    """Return the text without control sequences; line ends and tabs stay."""
     return _CONTROL.sub("", text)
 
 
 def coloured(text: str) -> str:
-    """The text with no other control than colours."""
-    return _CONTROL.sub(lambda found: found[0] if _COLOUR.fullmatch(found[0]) else "", text)
+    """Return the text without control sequences other than colours."""
+    return _CONTROL.sub(lambda match: match[0] if _COLOUR.fullmatch(match[0]) else "", text)

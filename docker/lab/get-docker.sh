@@ -11,26 +11,32 @@ VERSION=
 DRY_RUN=
 while [ $# -gt 0 ]; do
     case "$1" in
-        --version) VERSION="${2#v}"; shift ;;
+        --version)
+            VERSION="${2#v}"
+            shift
+            ;;
         --channel | --mirror) shift ;;
         --setup-repo) ;;
         --dry-run) DRY_RUN=1 ;;
         --*) echo "Illegal option $1" ;;
     esac
-    shift $(( $# > 0 ? 1 : 0 ))
+    shift $(($# > 0 ? 1 : 0))
 done
 
 echo "# Executing docker install script (the lab's: Debian's packages)"
 
-if command -v docker > /dev/null 2>&1; then
+if command -v docker >/dev/null 2>&1; then
     echo 'Warning: the "docker" command appears to already exist on this system.' >&2
     echo 'You may press Ctrl+C now to abort this script.' >&2
-    ( set -x; sleep 20 )
+    (
+        set -x
+        sleep 20
+    )
 fi
 
 if [ "$(id -un)" = root ]; then
     as_root='sh -c'
-elif command -v sudo > /dev/null 2>&1; then
+elif command -v sudo >/dev/null 2>&1; then
     as_root='sudo -E sh -c'
 elif [ -z "$DRY_RUN" ]; then
     echo 'Error: this installer needs the ability to run commands as root.' >&2
@@ -42,7 +48,10 @@ run() {
     if [ -n "$DRY_RUN" ]; then
         echo "$1"
     else
-        ( set -x; $as_root "$1" )
+        (
+            set -x
+            $as_root "$1"
+        )
     fi
 }
 

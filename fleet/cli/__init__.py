@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from fleet.cli import deploy, lab, observe, verb
+import sys
+from pathlib import Path
 
-ns = verb.collection((*observe.VERBS, *deploy.VERBS), lab=lab.VERBS)
+from fleet.cli import deploy, lab, observe, overview, verb
+
+
+@verb.verb(name="help", looks=True)
+def help_() -> None:
+    """Show this overview of the verbs."""
+    sys.stdout.write(_overview())
+
+
+ns = verb.collection((*observe.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS)
 
 
 def main() -> None:
-    """The ``fleet`` command: the same verbs, for a folder that has an inventory and no fabfile."""
-    verb.main(ns)
+    """Run the ``fleet`` command: the same verbs, for a folder that has an inventory and no fabfile."""
+    verb.main(ns, overview=_overview)
+
+
+def _overview() -> str:
+    return overview.page(verb.summaries(ns), program=Path(sys.argv[0]).name)

@@ -1,4 +1,4 @@
-"""What does the person see? Tables, live progress, plain lines when piped, JSON for programs.
+"""What does a person see? Tables, live progress, plain lines when piped, JSON for programs.
 
 The only module that imports rich. Results go to standard output; progress and problems to standard error.
 """
@@ -56,7 +56,7 @@ _COLUMNS_OF_A_FILE = 10_000
 
 
 class Terminal(Console):
-    """Rich's, where a reader that is gone (``| head``) is an exception and not the end of the program."""
+    """Rich's console, which raises an exception if the reader is gone (``| head``), instead of ending the program."""
 
     def on_broken_pipe(self) -> None:
         """See ``rich.console.Console.on_broken_pipe``."""
@@ -64,7 +64,7 @@ class Terminal(Console):
 
 
 class Screen:
-    """The terminal, or what stands in for it."""
+    """The terminal, or the file or pipe in its place."""
 
     def __init__(self) -> None:
         width = None if sys.stdout.isatty() else _COLUMNS_OF_A_FILE
@@ -74,11 +74,11 @@ class Screen:
         )
 
     def say(self, text: str) -> None:
-        """One line of what is going on."""
+        """Print one line of progress."""
         self.err.print(_text(text))
 
     def warnings(self, by_robot: Mapping[str, Sequence[str]]) -> None:
-        """Warnings of Compose about robots' stacks, each once, with the robots that it is about."""
+        """Print warnings of Compose about robots' stacks, each once, with the robots that it is about."""
         about: dict[str, list[str]] = {}
         for name, texts in by_robot.items():
             for text in texts:
@@ -88,22 +88,22 @@ class Screen:
             self.say(f"{who}: {text}")
 
     def lines(self, lines: Iterable[str]) -> None:
-        """Lines of result, exactly."""
+        """Print lines of the result unchanged."""
         for line in lines:
             self.out.print(_text(line), soft_wrap=True)
 
     def json(self, value: object) -> None:
-        """A value for programs, on standard output."""
+        """Print a value for programs on standard output."""
         sys.stdout.write(json_output.text(value) + "\n")
 
     def plans(self, plans: Iterable[Plan]) -> None:
-        """What ``--dry`` shows."""
+        """Print plans, for ``--dry``."""
         for plan in plans:
             for number, text in enumerate(lines(plan)):
                 self.out.print(_text(text, "bold" if number == 0 else ""), soft_wrap=True)
 
     def images(self, images: Iterable[Image], *, json: bool) -> None:
-        """Local images: name, platform and size."""
+        """Print the name, platform and size of local images."""
         if json:
             self.json(list(images))
         else:
@@ -113,7 +113,7 @@ class Screen:
             )
 
     def outcomes(self, outcomes: Sequence[Outcome]) -> None:
-        """A line per robot, its reason and cure below where it has one, and the sum."""
+        """Print a line per robot, the reason and cure of a failure below it, and the totals."""
         width = max((len(outcome.robot) for outcome in outcomes), default=0)
         for outcome in outcomes:
             text = Text.assemble(
@@ -128,7 +128,7 @@ class Screen:
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
 
     def problems(self, outcomes: Sequence[Outcome]) -> int:
-        """Show the robots that failed, on standard error, and return the exit code. Ctrl-C is how a person stops."""
+        """Print the robots that failed on standard error, and return the exit code. Ctrl-C is not a failure here."""
         bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
         for outcome in bad:
             for text in (f"{outcome.robot}: {headline(outcome)}", *details(outcome)):
@@ -136,27 +136,27 @@ class Screen:
         return exit_code(tuple(bad))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:
-        """A table of cells, each a text and a style."""
+        """Print a table of cells, each a text and a style."""
         self.out.print(_table(columns, rows))
 
     def live(self, columns: Sequence[str], rows: Callable[[], Sequence[Sequence[tuple[str, str]]]]) -> Live:
-        """A table that draws itself again every half second, for as long as the ``with`` around it lasts."""
+        """Return a table that is drawn again every half second until its ``with`` block ends."""
         return Live(get_renderable=lambda: _table(columns, rows()), console=self.out, refresh_per_second=2)
 
     def records(self, records: Mapping[str, Mapping[str, object]]) -> None:
-        """Names with their values below, nested ones by a dotted key."""
+        """Print each name with its values below it; nested values have dotted keys."""
         for name, values in records.items():
             self.out.print(_text(name, "bold"))
             for key, value in _flat(values):
                 self.out.print(_text(f"  {key:24} {value}"), soft_wrap=True)
 
     def confirm(self, question: str) -> bool:
-        """Ask a person; nobody there is a no."""
-        asked = _text(f"{question} [y/N] ")
-        return sys.stdin.isatty() and self.err.input(asked).strip().lower() in ("y", "yes")
+        """Ask a yes/no question. Without a terminal the answer is no."""
+        prompt = _text(f"{question} [y/N] ")
+        return sys.stdin.isatty() and self.err.input(prompt).strip().lower() in ("y", "yes")
 
     def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
-        """Show what became of the robots, and return the exit code."""
+        """Print the outcomes, and return the exit code."""
         if json:
             self.json(outcomes)
         else:
@@ -164,28 +164,30 @@ class Screen:
         return exit_code(tuple(outcomes))
 
     def prefixed(self, names: Sequence[str]) -> Callable[[str, str], None]:
-        """A printer of lines with a coloured name before each, safe to call from many threads."""
+        """Return a function that prints a line after a coloured name. Many threads may call it."""
         width = max((len(name) for name in names), default=0)
         styles = {name: _COLOURS[number % len(_COLOURS)] for number, name in enumerate(names)}
         lock = threading.Lock()
 
         def printer(name: str, text: str) -> None:
-            said = Text.from_ansi(terminal.coloured(text))
+            line = Text.from_ansi(terminal.coloured(text))
             with lock:
-                self.out.print(Text.assemble((f"{name:{width}} | ", styles[name]), said), soft_wrap=True)
+                self.out.print(Text.assemble((f"{name:{width}} | ", styles[name]), line), soft_wrap=True)
 
         return printer
 
-    def progress(self) -> Show:
-        """Live progress on a terminal, a line per step where there is none."""
+    def progress(self) -> AnyProgress:
+        """Return live progress on a terminal, or else a line per step."""
         return Bars(self.err) if self.err.is_terminal else Lines(self)
 
 
 class Lines:
-    """Progress where nobody watches live: one line when a robot starts something."""
+    """Progress without a terminal: one line when a robot starts a step, and one for all if they start the same step."""
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen
+        self._announced: set[tuple[str, str]] = set()
+        self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
         return self
@@ -195,8 +197,18 @@ class Lines:
     ) -> None:
         pass
 
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        """See `fleet.rollout.progress.Progress`. One robot needs no line for all."""
+        if len(robots) > 1:
+            self._announced |= {(robot, title) for robot in robots}
+            self._screen.say(f"{len(robots)} robots: {title}")
+
     def step_started(self, robot: str, title: str, size: int | None) -> None:
         """See `fleet.rollout.progress.Progress`."""
+        with self._lock:
+            if (robot, title) in self._announced:
+                self._announced.remove((robot, title))
+                return
         self._screen.say(f"{robot}: {title}" + (f" ({human_bytes(size)})" if size else ""))
 
     def bytes_sent(self, robot: str, count: int) -> None:
@@ -212,7 +224,7 @@ class Lines:
 
 
 class WhereBytesFlow(ProgressColumn):
-    """Another column, empty for steps that send nothing."""
+    """A column that stays empty for steps that send nothing."""
 
     def __init__(self, column: ProgressColumn) -> None:
         super().__init__()
@@ -224,7 +236,7 @@ class WhereBytesFlow(ProgressColumn):
 
 
 class Bars:
-    """A line per robot that moves: what it does, and where bytes flow how many, how fast and how long still."""
+    """A live line per robot: its step, and for transfers the bytes, the speed and the time left."""
 
     def __init__(self, console: Console) -> None:
         self._moving = Progress(
@@ -251,6 +263,9 @@ class Bars:
     ) -> None:
         self._moving.stop()
 
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        """See `fleet.rollout.progress.Progress`. Each robot has its own line here."""
+
     def step_started(self, robot: str, title: str, size: int | None) -> None:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
@@ -260,7 +275,7 @@ class Bars:
     def bytes_sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
-            if robot in self._tasks:  # bytes may leave after Ctrl-C has ended it
+            if robot in self._tasks:  # bytes may still be sent after Ctrl-C has ended the robot's work
                 self._moving.advance(self._tasks[robot], count)
 
     def note(self, robot: str, text: str) -> None:
@@ -278,7 +293,7 @@ class Bars:
             self._moving.remove_task(task)
 
 
-Show = Lines | Bars
+AnyProgress = Lines | Bars
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> Table:
@@ -290,9 +305,9 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) ->
     return table
 
 
-def _text(said: str, style: str = "") -> Text:
-    """Words of ours or of a robot's: as they are, with no markup and no control in them."""
-    return Text(terminal.plain(said), style=style)
+def _text(text: str, style: str = "") -> Text:
+    """Return the text without control sequences; brackets in it are not markup."""
+    return Text(terminal.plain(text), style=style)
 
 
 def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:

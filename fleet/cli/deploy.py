@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from fleet.transfer.delivery import Strategy
 
 
-@verb({"yes": "record without asking", "changed": "also replace keys that have changed"})
+@verb({"yes": "record the keys without asking", "changed": "also replace recorded keys that have changed"})
 def trust(
     hosts: str = "all",
     yes: bool = False,
@@ -52,12 +52,12 @@ def trust(
 ) -> int:
     """Show the robots' host keys and record them.
 
-    Compare the fingerprints with `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` on the robot. Every other verb
-    refuses robots whose key is unknown or has changed.
+    Compare each fingerprint with the output of `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` on the robot. All
+    other verbs refuse a robot whose key is unknown or has changed.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     with screen.progress() as progress:
-        offers, missing = trusting.look(robots, progress=progress)
+        offers, missing = trusting.offered_keys(robots, progress=progress)
     new = trusting.to_record(offers, changed=changed)
     for offer in new:
         screen.say(offer.text())
@@ -70,10 +70,10 @@ def trust(
 
 @verb()
 def provision(hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "") -> int:
-    """Install Docker on robots, and prove that it runs.
+    """Install Docker on robots and check that it works.
 
-    Sets a wrong clock, runs Docker's convenience script, adds Compose, log limits and the login's right to use Docker,
-    and runs a container. Only what is not right yet is done.
+    It corrects the clock, runs Docker's convenience script, installs the Compose plugin, limits log sizes, lets the
+    login user use Docker, and runs a test container. It skips each part that is already right.
     """
     fleet, robots = select(inventory, hosts)
     scripts = docker_script.Scripts(base=fleet.path.parent)
@@ -119,9 +119,9 @@ def build(
 
 @verb(
     {
-        "limit": "the most all robots together may be sent: 8Mbit, or 1MB, per second",
+        "limit": "highest upload rate of all robots together, per second, such as 8Mbit or 1MB",
         "retry_for": "seconds to retry a lost connection; default: 180",
-        "keep": "releases that stay on a robot; default: 3",
+        "keep": "releases to keep on each robot; default: 3",
         "wait": "seconds that containers may take to become healthy; default: 180, and the longest start_period",
         "prefer": "whose version of a file wins that robot and desktop have both changed: robot or desktop",
         "renamed": "the robots were renamed in the inventory: go on though they were shipped under another name",
@@ -150,7 +150,7 @@ def ship(
     limiter, run = RateLimiter(bytes_per_second(limit)), secrets.token_hex(8)
     conflict = _conflict(prefer)
     machines = whose.Machines()
-    with Stacks() as stacks, Store() as store, Sender.using(store, pace=limiter, by=whoami()) as sender:
+    with Stacks() as stacks, Store() as store, Sender.using(store, limiter=limiter, by=whoami()) as sender:
         found = stacks.of(robots, only=stack)
         screen.warnings(
             {name: [text for one in ones for text in one.warnings] for name, ones in found.items()}
@@ -174,7 +174,7 @@ def ship(
                     robot=robot,
                     release=release,
                     facts=facts,
-                    delivery=sender.deliver(missing, robot=robot, facts=facts, way=way),
+                    delivery=sender.deliver(missing, robot=robot, facts=facts, strategy=way),
                     request=_request(one, run=run, wait=wait, conflict=conflict),
                     keep=keep,
                 )
@@ -186,7 +186,7 @@ def ship(
         return go(dry=dry, json=json, screen=screen)
 
 
-@verb({"keep": "releases that stay on a robot; default: 3"})
+@verb({"keep": "releases to keep on each robot; default: 3"})
 def prune(
     hosts: str = "all",
     keep: int = prune_old.KEEP,
@@ -209,7 +209,7 @@ def prune(
     return execute(select(inventory, hosts)[1], make, dry=dry, json=json, screen=Screen(), images=True)
 
 
-@verb({"to": "the release to go back to; default: the one that ran before"})
+@verb({"to": "the release to go back to; default: the previous one"})
 def rollback(
     hosts: str = "all",
     to: str = "",
@@ -218,9 +218,9 @@ def rollback(
     inventory: str = "",
     stack: str = "",
 ) -> int:
-    """Go back to the release that ran before.
+    """Go back to the previous release.
 
-    Or, with --to, to another one that the robot still has: `fab history` lists them. Data of the robot stays as it is.
+    With --to, go back to any release that is still on the robot. `fab history` lists releases. Data stays as it is.
     """
     run = secrets.token_hex(8)
 
@@ -242,7 +242,7 @@ def start(
 ) -> int:
     """Start the current release.
 
-    Waits until it is healthy.
+    It waits until every container is healthy.
     """
     return _contain("start", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 
@@ -253,7 +253,7 @@ def stop(
 ) -> int:
     """Stop the current release.
 
-    It stays stopped over a reboot, until `fab start` or the next `fab ship`.
+    It stays stopped after a reboot, until `fab start` or the next `fab ship`.
     """
     return _contain("stop", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 
@@ -264,7 +264,7 @@ def restart(
 ) -> int:
     """Restart the current release.
 
-    Waits until it is healthy.
+    It waits until every container is healthy.
     """
     return _contain("restart", hosts=hosts, dry=dry, json=json, inventory=inventory, stack=stack)
 

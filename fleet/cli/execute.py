@@ -1,4 +1,4 @@
-"""How does a verb get from its plan function to an exit code? Observe, plan, then print or apply."""
+"""How does a verb get from its planner to an exit code? Observe, plan, then print or apply."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from fleet.errors import FleetError, LinkLost
 from fleet.plan.outcome import Outcome, exit_code, together
-from fleet.rollout.apply import RETRY_FOR, apply, look
+from fleet.rollout.apply import apply
+from fleet.rollout.observe import observe_one
 from fleet.rollout.pool import each
+from fleet.rollout.reconnect import RETRY_FOR
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     Opener = Callable[[Feed], Iterable[bytes]]
 
 
+OBSERVE = "look at the robot"
+"""The title of every robot's first step."""
+
+
 def execute(
     robots: Sequence[Robot],
     *ladder: Planner,
@@ -37,18 +42,19 @@ def execute(
     images: bool = False,
     retry_for: float = RETRY_FOR,
 ) -> int:
-    """Look at every robot, plan for it, and carry that out, or show the plans with ``dry``. Returns the exit code.
+    """Observe every robot, plan for it, and apply the plan, or print it with ``dry``. Returns the exit code.
 
-    Where the robot cannot use what was sent, it is looked at again, and the next planner of ``ladder`` has its turn. With
-    ``images``, planners are told what robots hold of images; for ``retry_for`` see `fleet.rollout.apply.apply`.
+    If a robot cannot use what was sent, it is observed again, and the next planner of ``ladder`` makes the plan. With
+    ``images``, the facts include the robot's images. For ``retry_for`` see `fleet.rollout.apply.apply`.
     """
     plans: dict[str, Sequence[Plan]] = {}
 
     with screen.progress() as progress:
+        progress.announce([robot.name for robot in robots], OBSERVE)
 
         def attempt(link: Link, make: Planner) -> Outcome:
-            progress.step_started(link.robot.name, "look at the robot", None)
-            facts = look(link, images=images, progress=progress, retry_for=retry_for)
+            progress.step_started(link.robot.name, OBSERVE, None)
+            facts = observe_one(link, images=images, progress=progress, retry_for=retry_for)
             made = plans[link.robot.name] = make(link.robot, facts)
             outcomes: list[tuple[str, Outcome]] = []
             for plan in made:
@@ -69,14 +75,14 @@ def execute(
         )
     if not dry:
         return screen.result(outcomes, json=json)
-    made = [plan for robot in robots for plan in plans.get(robot.name, ())]
-    return show_plans(made, outcomes, json=json, screen=screen)
+    in_order = [plan for robot in robots for plan in plans.get(robot.name, ())]
+    return show_plans(in_order, outcomes, json=json, screen=screen)
 
 
 def _climb(
     link: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], progress: Progress
 ) -> Outcome:
-    """Attempt one planner's way, and the next one's where a robot could not use what came."""
+    """Apply the first planner's plan, and the next one's if the robot could not use what was sent."""
     first, *others = ladder
     outcome = attempt(link, first)
     sent, why = outcome.sent, ""
@@ -92,7 +98,7 @@ def _climb(
 
 
 def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool, screen: Screen) -> int:
-    """Print what would be done, and which robots cannot be planned for."""
+    """Print the plans, and the robots for which there is none."""
     bad = tuple(outcome for outcome in outcomes if not outcome.good)
     if json:
         screen.json({"plans": plans, "problems": bad})
@@ -104,45 +110,11 @@ def show_plans(plans: Sequence[Plan], outcomes: Sequence[Outcome], *, json: bool
     return exit_code(bad)
 
 
-def observe(robots: Sequence[Robot], *, progress: Progress) -> dict[str, Facts | FleetError]:
-    """What each robot has now, or why it cannot be told."""
-    seen: dict[str, Facts | FleetError] = {}
-
-    def look(link: Link) -> Outcome:
-        try:
-            seen[link.robot.name] = link.facts()
-        except FleetError as problem:
-            seen[link.robot.name] = problem
-            raise
-        return Outcome(robot=link.robot.name, status="done")
-
-    each(robots, look, progress=progress)
-    return {robot.name: seen.get(robot.name, LinkLost("interrupted by Ctrl-C")) for robot in robots}
-
-
-def keep_observing(
-    robots: Sequence[Robot], seen: dict[str, Facts | FleetError], *, every: float, progress: Progress
-) -> None:
-    """Keep ``seen`` up to date over standing connections, until Ctrl-C; ``every`` is in seconds."""
-
-    def look(link: Link) -> Outcome:
-        while not link.closed.is_set():
-            try:
-                seen[link.robot.name] = link.facts()
-            except FleetError as problem:
-                seen[link.robot.name] = problem
-                link.reconnect()
-            link.closed.wait(every)
-        return Outcome(robot=link.robot.name, status="done")
-
-    each(robots, look, progress=progress, at_once=len(robots))
-
-
 def refuse(feed: Feed) -> Iterable[bytes]:
-    """Open no feed: the steps of most verbs carry their bytes."""
+    """Refuse to open a feed: the steps of most verbs hold their bytes themselves."""
     raise TypeError(f"{feed.label} needs a sender")
 
 
 def whoami() -> str:
-    """Who is at the desktop, for the robots' histories: ``tim@desktop``."""
+    """Return the desktop's user for the robots' histories, such as ``tim@desktop``."""
     return f"{getpass.getuser()}@{socket.gethostname()}"

@@ -1,4 +1,4 @@
-"""How does a value of ours read as JSON, for programs?"""
+"""How are our values printed as JSON?"""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 
 
 def text(value: object) -> str:
-    """JSON, indented. Dataclasses become objects, paths text, and bytes their number: they may hold secrets."""
+    """Return indented JSON. Dataclasses become objects and paths text. Bytes may hold secrets: only their number is shown."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False)
 
 

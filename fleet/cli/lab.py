@@ -12,24 +12,24 @@ DIRECTORY = Path(".lab")
 """Where the lab keeps its key and its inventory; ``inventory.yaml`` includes it."""
 
 
-@verb({"count": "virtual Pis to have; default: 3"})
+@verb({"count": "number of virtual Pis; default: 3"})
 def up(count: int = 3) -> None:
-    """Have virtual Pis on this computer to try things on.
+    """Start virtual Pis on this computer to try things on.
 
-    They start as a fresh Raspberry Pi OS would: systemd, sshd, sudo, a login `pi`, no Docker. Those that are there stay.
+    Each starts like a fresh Raspberry Pi OS: systemd, sshd, sudo, a user `pi`, no Docker. Running ones are left alone.
     """
     lifecycle.up(count, directory=DIRECTORY, say=Screen().say)
 
 
 @verb()
 def down() -> None:
-    """Remove the virtual Pis and all they hold."""
+    """Remove the virtual Pis and all their data."""
     lifecycle.down(directory=DIRECTORY, say=Screen().say)
 
 
 @verb(name="list", looks=True)
 def list_(json: bool = False) -> None:
-    """Show the virtual Pis."""
+    """List the virtual Pis."""
     screen, pis = Screen(), lifecycle.list_()
     if json:
         screen.json(pis)

@@ -1,4 +1,4 @@
-"""Which verbs look at robots, or talk with them? None of them changes what a robot runs."""
+"""Which verbs look at robots without changing what they run?"""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from fleet.cli import status as states
 from fleet.cli.console import Screen
-from fleet.cli.execute import keep_observing, observe
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.plan import containers
 from fleet.rollout import stream
+from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
 from fleet.ssh import openssh_config
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 @verb(looks=True)
 def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> None:
-    """Show each robot with its merged values.
+    """Show each robot with its merged settings.
 
-    What the inventory says of it: defaults, then its groups, then its own.
+    A robot's own settings override those of its groups, and those override the defaults.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     if json:
@@ -37,11 +37,11 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
         screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
 
 
-@verb({"watch": "keep the table up to date, until Ctrl-C"}, looks=True)
+@verb({"watch": "update the table until Ctrl-C"}, looks=True)
 def status(hosts: str = "all", watch: bool = False, json: bool = False, inventory: str = "") -> int:
     """Show release, health, Docker, disk, temperature.
 
-    The exit code is 0 when every robot answers and all its containers are well.
+    The exit code is 0 if every robot answers and all its containers are healthy.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     seen = observe(robots, progress=NoProgress())
@@ -57,11 +57,11 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
     return 0 if watch or all(states.good(what) for what in seen.values()) else 1
 
 
-@verb({"tail": "events to show of each robot; default: 10"}, looks=True)
+@verb({"tail": "events to show for each robot; default: 10"}, looks=True)
 def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: str = "") -> int:
-    """Show who shipped what, when, and its outcome.
+    """Show who shipped what, when, and the outcome.
 
-    Each robot keeps its own, in ~/.fleet/stacks/NAME/history.
+    Each robot keeps its history in ~/.fleet/stacks/NAME/history.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     seen = observe(robots, progress=NoProgress())
@@ -83,10 +83,10 @@ def history(hosts: str = "all", tail: int = 10, json: bool = False, inventory: s
 
 @verb(
     {
-        "follow": "go on with what they say from now on, until Ctrl-C",
-        "tail": "lines from the end of each container's log, or all; default: 20",
-        "since": "only what was said since then: 10m, 2h, 2026-11-23T12:00:00",
-        "service": "only this service of the stack",
+        "follow": "keep printing new lines until Ctrl-C",
+        "tail": "lines to show from the end of each container's log, or all; default: 20",
+        "since": "show only lines since this time: 10m, 2h, 2026-11-23T12:00:00",
+        "service": "show only this service of the stack",
     },
     looks=True,
 )
@@ -99,9 +99,9 @@ def logs(
     inventory: str = "",
     stack: str = "",
 ) -> int:
-    """Show what the robots' containers print.
+    """Show the logs of the robots' containers.
 
-    All robots merged, each line with the name of its robot.
+    The lines of all robots are merged. Each line begins with the robot's name.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])
@@ -117,8 +117,8 @@ def logs(
 
 @verb(
     {
-        "command": "a line for the robots' shell; also after --",
-        "limit": "seconds it may take, 0: any; default: 60",
+        "command": "a shell command; it can also follow after --",
+        "limit": "seconds before the command is stopped, 0 for no limit; default: 60",
     }
 )
 def run(
@@ -126,10 +126,10 @@ def run(
 ) -> int:
     """Run a command on robots: fab run -- uptime.
 
-    It is a line for their shell, run as the login. The exit code is 1 where it fails on one.
+    The robot's shell runs the command as the login user. The exit code is 1 if the command fails on any robot.
     """
     if not command:
-        raise UsageError("there is no command to run", cure="fab run --hosts NAMES -- COMMAND")
+        raise UsageError("no command was given", cure="fab run --hosts NAMES -- COMMAND")
     screen, robots = Screen(), select(inventory, hosts)[1]
     if dry:
         screen.lines(f"{robot.name}: $ {command}" for robot in robots)
@@ -142,12 +142,12 @@ def run(
 def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
     """Log in to one robot.
 
-    With OpenSSH, and the host keys that `fab trust` recorded.
+    It uses OpenSSH and the host keys that `fab trust` recorded.
     """
     robots = select(inventory, hosts)[1]
     if len(robots) != 1:
         raise UsageError(
-            f"a shell goes to one robot, and {hosts} names {len(robots)}", cure="fab shell --hosts NAME"
+            f"`fab shell` opens one robot, but {hosts} names {len(robots)}", cure="fab shell --hosts NAME"
         )
     argv = openssh_config.login(robots[0])
     if dry:
@@ -158,9 +158,9 @@ def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
 
 @verb(
     {
-        "topic": "the topic; default: /time",
-        "count": "messages from each robot, 0: until Ctrl-C; default: 0",
-        "timeout": "seconds of silence that are a failure; default: 10",
+        "topic": "the topic to listen to; default: /time",
+        "count": "messages to show from each robot, 0 for all until Ctrl-C; default: 0",
+        "timeout": "fail after this many seconds without a message; default: 10",
     },
     looks=True,
 )
@@ -169,8 +169,8 @@ def listen(
 ) -> int:
     """Show a topic's messages as they arrive here.
 
-    Without ROS on this computer. Where none arrive, it says why: a name that does not resolve, a loopback address, a
-    closed port, a silent topic.
+    This computer does not need ROS. If no message arrives, the reason is shown: a name that does not resolve, a loopback
+    address, a closed port, or a topic without messages.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])

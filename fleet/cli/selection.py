@@ -1,4 +1,4 @@
-"""Which robots does a line on the terminal mean?"""
+"""Which robots does a command line select?"""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def select(inventory: str, hosts: str) -> tuple[Inventory, tuple[Robot, ...]]:
-    """The inventory that was named, and the robots that ``--hosts`` means.
+    """Load the inventory, and select the robots that ``--hosts`` names.
 
     Raises:
         InventoryError, SelectionError: as `fleet.config.inventory` says.
@@ -23,10 +23,10 @@ def select(inventory: str, hosts: str) -> tuple[Inventory, tuple[Robot, ...]]:
     return fleet, fleet.select(hosts)
 
 
-def _file(said: str) -> Path:
-    """What was said, else the nearest ``inventory.yaml`` from here upwards: ``fab`` works in subfolders."""
-    if said:
-        return Path(said)
+def _file(named: str) -> Path:
+    """Return the file that was named, or the nearest ``inventory.yaml`` from here upwards: ``fab`` works in subfolders."""
+    if named:
+        return Path(named)
     usual = Path("inventory.yaml")
     return next(
         (path for folder in (Path(), *Path.cwd().parents) if (path := folder / usual).exists()), usual

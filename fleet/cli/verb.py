@@ -1,7 +1,11 @@
 """How does a function become a verb of ``fab``? The only module that imports Fabric and Invoke.
 
-Two things go another way than in Fabric: ``fab -H NAME ship`` is refused, because Fabric would run the task with its
-default robots, and what follows ``--`` belongs to the task before it. ``fabric.yaml`` names `Executor` for that.
+Three things differ from Fabric; ``fabric.yaml`` names `Executor` for them. ``fab -H NAME ship`` is refused, because
+Fabric would run the task with its default robots. So are Fabric's other flags that would have no effect here. What
+follows ``--`` belongs to the task before it.
+
+``fab`` without a task runs the default task, which shows our overview. ``fab --help`` alone prints Fabric's own page:
+Fabric 3.2 does that before it reads ``fabric.yaml`` or the fabfile. ``fleet --help`` shows the overview.
 """
 
 from __future__ import annotations
@@ -25,22 +29,37 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Mapping
 
 HELP = {
-    "hosts": "robots, groups and wildcards, comma separated; default: all",
+    "hosts": "robots, groups and wildcards, separated by commas; default: all",
     "dry": "show what would be done, and change nothing",
     "json": "print the result as JSON",
     "stack": "only this stack, by its Compose project name; default: all of the robots' stacks",
     "inventory": "the inventory file; default: $FLEET_INVENTORY, or the nearest inventory.yaml",
 }
 
+_NO_EFFECT = {
+    "command-timeout": "`fab run --limit SECONDS -- COMMAND` limits a command",
+    "config": "`--inventory FILE` after the task names an inventory",
+    "connect-timeout": "`fab ship --retry-for SECONDS` says how long to retry a lost connection",
+    "echo": "`--dry` after the task shows what would be done",
+    "hide": "`2>/dev/null` hides progress",
+    "identity": "set `identity_file` in the inventory",
+    "prompt-for-login-password": "fleet logs in with SSH keys: `ssh-copy-id USER@ADDRESS`",
+    "prompt-for-passphrase": "`ssh-add KEY` unlocks a key",
+    "prompt-for-sudo-password": "`fab provision` needs sudo without a password on the robot",
+    "pty": "`fab shell --hosts NAME` opens a terminal on a robot",
+    "ssh-config": "fleet reads ~/.ssh/config, as `ssh` does",
+    "warn-only": "when one robot fails, the others go on anyway",
+}
+"""Fabric's flags that change only Fabric's own connections and commands, which fleet does not use; and what to do instead."""
+
 
 def verb(
     texts: Mapping[str, str] | None = None, *, name: str | None = None, looks: bool = False
 ) -> Callable[[Callable[..., int | None]], Any]:
-    """Make a function a task of ``fab``; ``texts`` say what its own flags mean.
+    """Make a function a task of ``fab``; ``texts`` explains the flags that only this verb has.
 
-    What the function returns becomes the exit code, and our errors one sentence with theirs. A flag ``dry`` is also
-    set by Invoke's own ``--dry``, wherever that stands on the line; a verb without it is refused then, unless it
-    ``looks`` only.
+    The function returns the exit code. An error of ours becomes one sentence and its own exit code. Invoke's ``--dry``,
+    anywhere on the line, sets the flag ``dry`` too; a verb without that flag then refuses to run, unless it ``looks`` only.
     """
 
     def make(body: Callable[..., int | None]) -> Any:  # noqa: ANN401  Fabric's tasks have no type
@@ -53,11 +72,11 @@ def verb(
             if "dry" in options:
                 options["dry"] = options["dry"] or bool(c.config.run.dry)
             elif c.config.run.dry and not looks:
-                raise Exit("this verb has no --dry, and so nothing was done", code=2)
-            _finish(body, {key: _value(key, said, numbers) for key, said in options.items()})
+                raise Exit("this verb does not support --dry, so nothing was done", code=2)
+            _finish(body, {key: _value(key, text, numbers) for key, text in options.items()})
 
         context = inspect.Parameter("c", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        # Invoke would fall over a number that is none, so it is given text, and numbers are read here.
+        # Invoke shows a traceback for `--keep x`, so it gets text, and numbers are read here.
         numbers = {key for key, flag in signature.parameters.items() if type(flag.default) is int}
         parameters = [context, *(_as_text(flag) for flag in signature.parameters.values())]
         guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -72,17 +91,17 @@ def _as_text(flag: inspect.Parameter) -> inspect.Parameter:
     return flag.replace(default=str(flag.default)) if type(flag.default) is int else flag
 
 
-def _value(name: str, said: object, numbers: Container[str]) -> object:
-    """What was said for a flag, as its function takes it."""
+def _value(name: str, typed: object, numbers: Container[str]) -> object:
+    """Convert a flag's value to the type that its function takes."""
     if name not in numbers:
-        return said
-    if not str(said).isdecimal():
-        raise Exit(f"--{name} takes a whole number, not {said}", code=2)
-    return int(str(said))
+        return typed
+    if not str(typed).isdecimal():
+        raise Exit(f"--{name.replace('_', '-')} takes a whole number, not {typed}", code=2)
+    return int(str(typed))
 
 
 def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None:
-    """Run a verb and leave with its exit code."""
+    """Run a verb and exit with its code."""
     try:
         code = body(**options)
         sys.stdout.flush()
@@ -90,14 +109,14 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
         cure = f"\n  cure: {problem.cure}" if problem.cure else ""
         raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
     except BrokenPipeError:
-        _forget_the_reader()
+        _discard_output()
         code = 0
     if code:
         raise Exit(code=code)
 
 
-def _forget_the_reader() -> None:
-    """`fab logs | head` is not an error; Python would complain again when it flushes."""
+def _discard_output() -> None:
+    """Send output nowhere: ``fab logs | head`` is not an error, and Python would report it again at its last flush."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -106,12 +125,16 @@ def _misplaced(tasks: str, names: str) -> Exit:
 
 
 class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotations
-    """Fabric's, with ``-H`` refused, and the rest of the line given to the task that takes a command."""
+    """Fabric's executor, which refuses flags without effect, and gives what follows ``--`` to the task before it."""
 
     def expand_calls(self, calls: Iterable[Any], apply_hosts: bool = True) -> list[Any]:
         """See ``fabric.executor.Executor.expand_calls``."""
-        if names := self.core[0].args.hosts.value:
-            raise _misplaced(" ".join(str(call.called_as or call.name) for call in calls), names)
+        typed = self.core[0].args
+        if names := typed.hosts.value:
+            raise _misplaced(" ".join(str(call.called_as or "VERB") for call in calls), names)
+        for flag, instead in _NO_EFFECT.items():
+            if typed[flag].got_value:
+                raise Exit(f"--{flag} has no effect here: {instead}", code=2)
         command, self.core.remainder = self.core.remainder, ""
         expanded: list[Any] = super().expand_calls(calls, apply_hosts)
         if command:
@@ -121,17 +144,39 @@ class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotatio
         return expanded
 
 
-def collection(verbs: Iterable[Any], **groups: Iterable[Any]) -> Collection:
-    """The verbs as ``fab`` lists them; each of ``groups`` under its name (``lab.up``)."""
+def collection(verbs: Iterable[Any], *, default: Any, **groups: Iterable[Any]) -> Collection:  # noqa: ANN401
+    """Collect the verbs as ``fab`` lists them; each of ``groups`` under its name (``lab.up``).
+
+    ``default`` is the verb that runs when none is typed.
+    """
     whole = Collection(*verbs)
+    whole.add_task(default, default=True)
     for name, members in groups.items():
         whole.add_collection(Collection(name, *members))
     return whole
 
 
-def main(verbs: Collection) -> None:
-    """Run as a program of its own, without a fabfile."""
-    program = Fab(
+def summaries(verbs: Collection) -> dict[str, str]:
+    """Return the first line of each verb's help."""
+    return {name: (verbs[name].__doc__ or "").partition("\n")[0] for name in verbs.task_names}
+
+
+class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
+    """Fabric's program, with our page in place of its flags."""
+
+    def __init__(self, overview: Callable[[], str], **options: Any) -> None:  # noqa: ANN401
+        super().__init__(**options)
+        self._overview = overview
+
+    def print_help(self) -> None:
+        """See ``invoke.Program.print_help``."""
+        sys.stdout.write(self._overview())
+
+
+def main(verbs: Collection, *, overview: Callable[[], str]) -> None:
+    """Run the verbs as a program of their own, without a fabfile."""
+    program = _Program(
+        overview,
         name="fleet",
         binary="fleet",
         version=__version__,
@@ -145,4 +190,4 @@ def main(verbs: Collection) -> None:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        _forget_the_reader()
+        _discard_output()

@@ -1,1 +1,1 @@
-"""What a tool's output means, and what cures the fault."""
+"""The meaning of tools' error output, and the cures."""

@@ -1,7 +1,7 @@
-"""How do I get a fleet without owning one? Virtual Pis: containers that boot and behave like computers.
+"""How can you try a fleet without owning one? With virtual Pis: containers that boot and behave like computers.
 
-Everything a lab makes carries the label ``fleet.lab=<name>``, so that it can be found and removed again. Its folder
-holds the SSH key that opens its Pis and the inventory that lists them.
+All Docker objects of a lab have the label ``fleet.lab=<name>``, so that they can be found and removed. The lab's folder
+holds the SSH key for its Pis and the inventory that lists them.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ FILES = ("id_ed25519", "id_ed25519.pub", "inventory.yaml", "known_hosts", "known
 def up(
     count: int, *, directory: Path, name: str = "lab", say: Callable[[str], None], recipe: Path = RECIPE
 ) -> None:
-    """Have ``count`` virtual Pis that answer SSH, and an inventory of them in ``directory``.
+    """Make ``count`` virtual Pis that answer SSH, and an inventory of them in ``directory``.
 
-    What runs is left alone, what is stopped is started, what is missing is made. Raises ``UsageError`` for a count or name
-    that cannot be, ``DesktopError`` for what this computer lacks.
+    Running Pis are left alone, stopped ones are started, missing ones are made. Raises ``UsageError`` for an impossible
+    count or name, ``DesktopError`` if this computer lacks something.
     """
     _check_request(count, name)
     _check_engine()
@@ -54,7 +54,7 @@ def have(
     say: Callable[[str], None],
     recipe: Path = RECIPE,
 ) -> None:
-    """The same for Pis of any names, each made from an image of its own: name -> image."""
+    """Do the same for Pis with any names, each with its own image: name -> image."""
     _check_request(len(images), name)
     platform = _platform(say=say)
     directory.mkdir(parents=True, exist_ok=True)
@@ -75,7 +75,7 @@ def have(
 
 
 def down(*, directory: Path, name: str = "lab", say: Callable[[str], None]) -> None:
-    """Remove the lab's containers, volumes and network, and its own files in ``directory``; nothing else."""
+    """Remove the lab's containers, volumes and network, and its files in ``directory``; nothing else."""
     label = f"label=fleet.lab={name}"
     removed = (
         _remove(("rm", "--force", "--volumes"), docker("ps", "--all", "--quiet", "--filter", label)),
@@ -89,12 +89,12 @@ def down(*, directory: Path, name: str = "lab", say: Callable[[str], None]) -> N
     say(
         f"removed {removed[0]} virtual Pi{'s' * (removed[0] != 1)}"
         if any(removed)
-        else "there is no lab to remove"
+        else "there are no virtual Pis to remove"
     )
 
 
 def list_(*, name: str = "lab") -> tuple[VirtualPi, ...]:
-    """The lab's Pis in order, running or not."""
+    """Return the lab's Pis in order, running or not."""
     ids = docker("ps", "--all", "--quiet", "--filter", f"label=fleet.lab={name}").split()
     if not ids:
         return ()
@@ -103,10 +103,10 @@ def list_(*, name: str = "lab") -> tuple[VirtualPi, ...]:
         "inspect", "--format", f"{{{{.Config.Hostname}}}} {{{{.State.Status}}}} {address}", *ids
     ).splitlines()
     platform = WANTED if _arm_runs() else desktop_platform()
-    found = (line.split() for line in lines)
+    rows = (line.split() for line in lines)
     pis = (
         VirtualPi(name=pi, lab=name, address=address, platform=platform, state=state)
-        for pi, state, address in found
+        for pi, state, address in rows
     )
     return tuple(sorted(pis, key=lambda pi: IPv4Address(pi.address)))
 
@@ -119,22 +119,22 @@ def _check_request(count: int, name: str) -> None:
 
 
 def _check_engine() -> None:
-    """Refuse engines whose networks this computer is not part of."""
+    """Refuse Docker Engines whose networks this computer cannot reach."""
     endpoint = os.environ.get("DOCKER_HOST") or docker(
         "context", "inspect", "--format", "{{.Endpoints.docker.Host}}"
     )
     if not endpoint.startswith("unix://"):
         raise _out_of_reach(f"another computer's ({endpoint})")
-    said = docker("info", "--format", "{{.OperatingSystem}} {{json .SecurityOptions}}")
+    info = docker("info", "--format", "{{.OperatingSystem}} {{json .SecurityOptions}}")
     for sign, whose in (("Docker Desktop", "Docker Desktop's"), ("name=rootless", "a rootless one")):
-        if sign in said:
+        if sign in info:
             raise _out_of_reach(whose)
 
 
 def _out_of_reach(whose: str) -> DesktopError:
     return DesktopError(
         f"this computer cannot reach virtual Pis by address, because the Docker Engine in use is {whose}",
-        cure="use a Docker Engine of this computer's own: docker/desktop.sh installs one",
+        cure="use a Docker Engine on this computer itself: docker/desktop.sh installs one",
     )
 
 
@@ -143,17 +143,17 @@ def _arm_runs() -> bool:
 
 
 def _platform(*, say: Callable[[str], None]) -> str:
-    """What the lab's Pis run: ARM like real ones, or the desktop's own where it cannot emulate ARM."""
+    """Return the platform of the lab's Pis: ARM like real ones, or the desktop's own if it cannot emulate ARM."""
     if _arm_runs():
         return WANTED
     say(
-        f"this computer cannot emulate ARM: its virtual Pis run {desktop_platform()} (docker/desktop.sh sets it up)"
+        f"this computer cannot emulate ARM, so its virtual Pis run {desktop_platform()} (docker/desktop.sh sets up ARM)"
     )
     return desktop_platform()
 
 
 def _key(directory: Path) -> Path:
-    """The lab's SSH key, made where it is missing."""
+    """Return the lab's SSH key; make it if it is missing."""
     key = directory.resolve() / "id_ed25519"
     if not (key.exists() and key.with_suffix(".pub").exists()):
         key.unlink(missing_ok=True)
@@ -162,7 +162,7 @@ def _key(directory: Path) -> Path:
 
 
 def _network(lab: str) -> IPv4Network:
-    """The lab's network, made where it is missing: Docker chooses which, and fixed addresses need it written down."""
+    """Return the lab's network; make it if it is missing. Docker chooses a free subnet; fixed addresses must name it."""
     network, subnet = f"fleet-{lab}", "{{(index .IPAM.Config 0).Subnet}}"
     label = f"fleet.lab={lab}"
     if there := docker_or_none(
@@ -170,7 +170,8 @@ def _network(lab: str) -> IPv4Network:
     ):
         if there.split()[1:] != [lab]:
             raise DesktopError(
-                f"the Docker network {network} is somebody else's", cure="give the lab another name"
+                f"the Docker network {network} exists and does not belong to this lab",
+                cure=f"remove it if it is not needed: `docker network rm {network}`",
             )
         return IPv4Network(there.split()[0])
     for tries_left in range(NETWORK_TRIES, 0, -1):
@@ -179,7 +180,7 @@ def _network(lab: str) -> IPv4Network:
         docker("network", "rm", network)
         try:
             docker("network", "create", "--label", label, "--subnet", free, network)
-        except DesktopError:  # somebody else was handed the same one meanwhile
+        except DesktopError:  # another program got the same subnet meanwhile
             if tries_left == 1:
                 raise
         else:
@@ -198,7 +199,7 @@ def _switch_on(pi: VirtualPi, *, image: str, directory: Path, say: Callable[[str
 
 
 def _make(pi: VirtualPi, *, image: str, directory: Path) -> None:
-    """A new Pi is blank: neither an old one's volume nor what was known of an old one's host keys may remain."""
+    """Make a blank Pi: remove the volume and the recorded host key of an old Pi with this name or address."""
     label = f"fleet.lab={pi.lab}"
     if docker_or_none("volume", "inspect", "--format", "{{.Name}}", pi.volume):
         docker("volume", "rm", pi.volume)
@@ -209,7 +210,7 @@ def _make(pi: VirtualPi, *, image: str, directory: Path) -> None:
 
 
 def _authorise(pi: VirtualPi, *, key: Path) -> None:
-    """Let the lab's key in as ``pi``, once."""
+    """Let the lab's key log in as ``pi``."""
     script = (
         "install -d -m 700 -o pi -g pi /home/pi/.ssh && cd /home/pi/.ssh && touch authorized_keys"
         ' && { grep -qxF "$1" authorized_keys || echo "$1" >> authorized_keys; } && chown pi:pi authorized_keys'
@@ -219,7 +220,7 @@ def _authorise(pi: VirtualPi, *, key: Path) -> None:
 
 
 def _await_ssh(pi: VirtualPi, *, key: Path) -> None:
-    """Wait until ``pi`` can log in. A real login: sshd shuts out addresses that only knock."""
+    """Wait until the user ``pi`` can log in. It is a real login, because sshd blocks addresses that only connect."""
     options = (
         "BatchMode=yes",
         "ConnectTimeout=5",
@@ -233,16 +234,16 @@ def _await_ssh(pi: VirtualPi, *, key: Path) -> None:
         done := subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     ).returncode:
         if time.monotonic() > deadline:
-            said = done.stderr.decode(errors="replace").strip().splitlines()
+            errors = done.stderr.decode(errors="replace").strip().splitlines()
             raise DesktopError(
-                f"{pi.name} at {pi.address} does not let the lab's key in after {BOOT_TAKES:g} s: {said[-1:]}",
-                cure="see docker logs of its container, and whether a firewall keeps this computer from Docker's networks",
+                f"{pi.name} at {pi.address} does not accept the lab's SSH key after {BOOT_TAKES:g} s: {''.join(errors[-1:])}",
+                cure=f"see `docker logs {pi.container}`, and check that no firewall blocks Docker's networks",
             )
         time.sleep(0.3)
 
 
 def write_inventory(pis: tuple[VirtualPi, ...], *, directory: Path, platform: str, recipe: Path) -> None:
-    """List the Pis in ``directory``, as an inventory the project's own can include."""
+    """Write an inventory of the Pis into ``directory``; the project's inventory can include it."""
     script = os.path.relpath(recipe / "get-docker.sh", directory)
     lines = (
         "# Written by `fab lab.up`, removed by `fab lab.down`. Paths are relative to this file.",
@@ -251,7 +252,7 @@ def write_inventory(pis: tuple[VirtualPi, ...], *, directory: Path, platform: st
         "  user: pi",
         "  identity_file: id_ed25519",
         f"  platform: {platform}",
-        # JSON's strings are YAML's too, whatever a path contains.
+        # A JSON string is also a YAML string, whatever the path contains.
         f"  docker: {{script: {json.dumps(script)}}}",
         "robots:",
         *(f"  {pi.name}: {{address: {pi.address}}}" for pi in pis),
@@ -259,9 +260,9 @@ def write_inventory(pis: tuple[VirtualPi, ...], *, directory: Path, platform: st
     (directory / "inventory.yaml").write_text("\n".join(lines) + "\n")
 
 
-def _remove(command: tuple[str, ...], found: str) -> int:
-    """Remove what was found, if anything; how many."""
-    names = found.split()
+def _remove(command: tuple[str, ...], listed: str) -> int:
+    """Remove the listed Docker objects. Returns their number."""
+    names = listed.split()
     if names:
         docker(*command, *names)
     return len(names)
@@ -275,5 +276,5 @@ def _run(*argv: str) -> None:
             f"{argv[0]} is not installed on this computer", cure="run docker/desktop.sh"
         ) from None
     except subprocess.CalledProcessError as error:
-        said = error.stderr.decode(errors="replace").strip()
-        raise DesktopError(f"{argv[0]} failed: {said}") from None
+        errors = error.stderr.decode(errors="replace").strip()
+        raise DesktopError(f"{argv[0]} failed: {errors}") from None

@@ -1,4 +1,4 @@
-"""What is one virtual Pi made of? Its image, and the ``docker run`` that makes it look like a computer."""
+"""What is a virtual Pi made of? An image, and a ``docker run`` that makes it behave like a computer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SUITE = "trixie"
-"""The Debian release that Raspberry Pi OS stands on."""
+"""The Debian release that Raspberry Pi OS is based on."""
 
 BUILD_TAKES = 1200.0  # seconds, for 150 MB of packages over a slow line
 STOP_TAKES = 20  # seconds systemd gets for stopping a Pi's own containers before the power goes
@@ -25,7 +25,7 @@ STOP_TAKES = 20  # seconds systemd gets for stopping a Pi's own containers befor
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualPi:
-    """One Pi of a lab: how people, Docker and the network call it, and which images it runs.
+    """One Pi of a lab: its names for people, Docker and the network, and its platform.
 
     ``state`` is Docker's word, such as running or exited; "missing" before it is made.
     """
@@ -43,12 +43,12 @@ class VirtualPi:
 
     @property
     def volume(self) -> str:
-        """The volume that holds what the Pi's own Docker keeps."""
+        """The volume with the data of the Pi's own Docker."""
         return f"{self.container}-docker"
 
 
 def run_command(pi: VirtualPi, *, image: str, network: str, labels: tuple[str, ...]) -> tuple[str, ...]:
-    """The arguments of ``docker`` that make and start a Pi.
+    """Return the arguments of ``docker`` that make and start a Pi.
 
     It boots systemd and later runs a Docker Engine, so it may mount and set up networks, in namespaces of its own;
     it is not privileged: no devices, no kernel modules, not the desktop's clock. It is meant for images you trust.
@@ -73,7 +73,7 @@ def run_command(pi: VirtualPi, *, image: str, network: str, labels: tuple[str, .
 
 
 def ensure_image(recipe: Path, *, suite: str = SUITE, say: Callable[[str], None]) -> str:
-    """Build the Pi's image unless it is here and made from this recipe; its name.
+    """Build the Pi's image if there is none of this recipe. Returns its name.
 
     ``recipe`` is the folder with its Dockerfile, ``suite`` the Debian release. Raises ``DesktopError`` with the end of the
     build's output.
@@ -92,7 +92,7 @@ def ensure_image(recipe: Path, *, suite: str = SUITE, say: Callable[[str], None]
     except subprocess.TimeoutExpired:
         raise DesktopError(
             f"building the virtual Pi's image did not finish in {BUILD_TAKES:g} s",
-            cure=f"see whether {debian_base.MIRROR} answers",
+            cure=f"check that {debian_base.MIRROR} answers",
         ) from None
     if done.returncode:
         raise refusal("build", done.stderr or done.stdout)
@@ -100,12 +100,12 @@ def ensure_image(recipe: Path, *, suite: str = SUITE, say: Callable[[str], None]
 
 
 def image_tag(recipe: Path, *, suite: str = SUITE) -> str:
-    """The image's name, which says what it is made from: another recipe has another name."""
+    """Return the image's name; it is derived from the recipe, so another recipe has another name."""
     if not (recipe / "Dockerfile").is_file():
         raise DesktopError(
             f"the virtual Pi's recipe is not in {recipe}", cure="run the lab from a clone of the project"
         )
-    # The convenience script goes to a Pi with `provision`; it is no part of the image.
+    # `provision` sends the convenience script to a Pi; it is not part of the image.
     parts = sorted(path for path in recipe.iterdir() if path.is_file() and path.name != "get-docker.sh")
     content = hashlib.sha256(suite.encode())
     for path in parts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 UNUSABLE = 65
-"""Everything arrived, and the robot's Docker cannot use it: another way of sending may help (EX_DATAERR)."""
+"""Everything arrived, and the robot's Docker cannot use it: another strategy may help (EX_DATAERR)."""
 
 MISSING = 69
 """Something that the program needs is not on this robot (EX_UNAVAILABLE)."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 from fleet.robot.paths import HISTORY
 from fleet.units import human_bytes, human_seconds
 
-LONG_SCRIPT = 15
+LONG_SCRIPT = 14
 """A script with more lines than this after its first is shown by its first, which is a comment."""
 
 
@@ -59,8 +59,8 @@ def _command(step: Step) -> str:
 
 
 def _shown(argument: str) -> str:
-    """A file of ``onboard/`` by its second line, which says what it does; another long script by its first."""
-    first, *rest = argument.splitlines()[argument.startswith("#!") :] or [""]
-    if argument.startswith("#!") or len(rest) > LONG_SCRIPT:
-        return f"{first} [{len(rest)} more lines: --dry --json]"
-    return argument
+    """The argument, or for a long script only its first line after ``#!``, which says what the script does."""
+    script = argument.partition("\n")[2] if argument.startswith("#!") else argument
+    first, _, rest = script.partition("\n")
+    count = len(rest.splitlines())
+    return f"{first} [{count} more lines: --dry --json]" if count > LONG_SCRIPT else argument

@@ -1,1 +1,1 @@
-"""Which steps make a blank robot ready for containers."""
+"""The steps that make a blank robot ready for containers."""

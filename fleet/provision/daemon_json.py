@@ -1,6 +1,6 @@
-"""What should ``/etc/docker/daemon.json`` say on a robot, and which step writes it?
+"""Steps that write Docker's settings on a robot, ``/etc/docker/daemon.json``, to rotate the logs of containers.
 
-Containers of a robot run for years, and Docker's usual log driver keeps every line: without rotation the SD card fills.
+A robot's containers run for years, and Docker's default log driver keeps every line: without rotation the SD card fills up.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PATH = "/etc/docker/daemon.json"
 
-# A copy first, so that the file keeps its owner and mode; then a rename, so that a power cut leaves one whole file.
+# The copy keeps the file's owner and mode; the rename leaves one complete file when the power fails.
 _WRITE = (
     'mkdir -p "$(dirname "$1")" && { [ ! -e "$1" ] || cp -p "$1" "$1.new"; }'
     ' && cat > "$1.new" && mv "$1.new" "$1"'
@@ -26,17 +26,17 @@ _WRITE = (
 
 
 def steps(robot: Robot, facts: Facts) -> tuple[Step, ...]:
-    """The step that writes it, if it does not say already what it should; what else it says stays.
+    """The step that adds log rotation to the settings, unless they have it; other settings stay.
 
-    Docker reads it when it starts. It is not restarted for this: that would stop its containers.
+    Docker reads the file when it starts. It is not restarted for this, because that would stop the robot's containers.
 
     Raises:
-        NotReady: what is there is not what Docker can read; it would not start.
+        NotReady: Docker cannot read the file, and would not start.
 
     """
-    said = _read(facts.docker.daemon_config)
-    wanted = _with_rotation(said, size=robot.docker.log_max_size, count=robot.docker.log_max_file)
-    if said == wanted:
+    present = _read(facts.docker.daemon_config)
+    wanted = _with_rotation(present, size=robot.docker.log_max_size, count=robot.docker.log_max_file)
+    if present == wanted:
         return ()
     runs = facts.docker.state in ("ready", "forbidden")
     when = ", from the next start of Docker on" if runs else ""
@@ -52,19 +52,19 @@ def steps(robot: Robot, facts: Facts) -> tuple[Step, ...]:
 
 
 def _read(text: str) -> dict[str, Any]:
-    cure = f"mend it there (`sudo nano {PATH}`), or remove it"
+    cure = f"fix the file on the robot (`sudo nano {PATH}`), or remove it"
     try:
-        said = json.loads(text) if text.strip() else {}
+        settings = json.loads(text) if text.strip() else {}
     except ValueError as problem:
         raise NotReady(f"{PATH} is not JSON: {problem}", cure=cure) from None
-    if not isinstance(said, dict) or not isinstance(said.get("log-opts", {}), dict):
-        raise NotReady(f"{PATH} does not hold settings as Docker reads them", cure=cure)
-    return said
+    if not isinstance(settings, dict) or not isinstance(settings.get("log-opts", {}), dict):
+        raise NotReady(f"{PATH} does not have the form that Docker reads", cure=cure)
+    return settings
 
 
-def _with_rotation(said: dict[str, Any], *, size: str, count: int) -> dict[str, Any]:
-    """``said`` and rotation; unchanged where a person chose another log driver, whose options differ."""
-    if said.get("log-driver", "json-file") != "json-file":
-        return said
-    options = {**said.get("log-opts", {}), "max-size": size, "max-file": str(count)}
-    return {**said, "log-driver": "json-file", "log-opts": options}
+def _with_rotation(settings: dict[str, Any], *, size: str, count: int) -> dict[str, Any]:
+    """The settings with log rotation; unchanged with another log driver, whose options differ."""
+    if settings.get("log-driver", "json-file") != "json-file":
+        return settings
+    options = {**settings.get("log-opts", {}), "max-size": size, "max-file": str(count)}
+    return {**settings, "log-driver": "json-file", "log-opts": options}

@@ -1,8 +1,8 @@
-"""Which steps make a robot ready for containers? From a fresh operating system, or from a half-done attempt.
+"""Plan the steps that make a robot ready for containers, from a fresh system or from an incomplete attempt.
 
-Only what is not right already gets a step. Docker comes from its convenience script, which the desktop fetched and
-sends; where Docker is there, the script is not run again: it would restart the robot's containers. An exit code of 0
-proves nothing here (the script gives it for much that failed), so the last steps prove the whole on a new login.
+Only what is not right yet gets a step. Docker is installed by its convenience script, which the desktop fetches and sends.
+If Docker is installed, the script does not run again, because it would restart the robot's containers. An exit code of 0
+proves nothing here (the script returns it after many failures), so the last steps prove the result on a new login.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import hashlib
 import re
 from typing import TYPE_CHECKING
 
+from fleet import onboard
 from fleet.errors import NotReady
 from fleet.plan.step import Bytes, Plan, Record, Step
 from fleet.provision import apt, daemon_json, sudo
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
     from fleet.robot.facts import Facts
 
 ROOM = 1_000_000_000
-"""Free space in bytes that an installation needs: packages, what they unpack to, and some air."""
+"""Free disk space in bytes that an installation needs: the packages, their unpacked files, and a reserve."""
 
 CLOCK_MAY_DIFFER = 60.0
-"""Seconds. A Pi has no clock of its own; apt and TLS refuse what seems to come from the future."""
+"""Seconds. A Pi has no clock of its own; apt and TLS refuse files and certificates that seem to come from the future."""
 
-_USUAL = apt.Bounds()
+_DEFAULT = apt.Bounds()
 _CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
-"""Packages of Debian and Ubuntu whose files Docker's own packages bring too; dpkg then installs neither."""
+"""Packages of Debian and Ubuntu that contain files of Docker's own packages; dpkg refuses to install both."""
 
 SCRIPT = f"{HOME}/get-docker.sh"
 PROOF_IMAGE = "fleet-proof"
@@ -38,20 +39,11 @@ PROOF_IMAGE = "fleet-proof"
 _SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
 _GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
 _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
-_IS_THERE = (
-    "command -v docker || { echo 'the script ended without an error, and installed nothing' >&2; exit 1; }"
-)
-_FORGET = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
+_IS_INSTALLED = "command -v docker || { echo 'the script ended without an error, and did not install Docker' >&2; exit 1; }"
+_REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
-# An image of the robot's own /bin/true and its libraries: no registry is needed, and its architecture is the robot's.
-_CONTAINER = r"""
-{ echo bin/true; ldd /bin/true | grep -o "/[^ ]*" | cut -c2-; } | tar -ch -C / -T - | docker import - "$1" > /dev/null &&
-  docker run --rm --network none "$1" /bin/true
-code=$?; docker image rm "$1" > /dev/null; exit $code
-"""
-
-# systemctl only says that Docker did not start; the reason stands in the journal.
-_REASONS = (
+# systemctl only reports that Docker did not start; the reason is in the journal.
+_JOURNAL = (
     "systemctl is-active --quiet docker"
     " || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2> /dev/null"
 )
@@ -64,23 +56,23 @@ def plan(
     script: bytes,
     now: float,
     by: str,
-    bounds: apt.Bounds = _USUAL,
+    bounds: apt.Bounds = _DEFAULT,
 ) -> Plan:
-    """The steps from what the robot has (``facts``) to Docker that works for this login; none where it does.
+    """The steps after which Docker works for the robot's login; a plan without steps if it works already.
 
-    ``script`` is Docker's convenience script; it may be empty where `needs_script` says no. ``now`` is the right time,
-    in seconds since the epoch.
+    ``script`` is Docker's convenience script; it may be empty if `needs_script` is false. ``now`` is the current time in
+    seconds since the epoch.
 
     Raises:
-        NotReady: the robot cannot be made ready from here; with what a person has to do.
+        NotReady: the user has to change something on the robot or in the inventory first.
 
     """
-    _fits(robot, facts)
-    _pin(robot, facts)
+    _check_platform(robot, facts)
+    _check_version(robot, facts)
     rotation = daemon_json.steps(robot, facts)
     install = _installation(robot, facts, script=script, bounds=bounds)
     if install:
-        _room(facts)
+        _check_disk(facts)
     changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts))
     zstd = apt.zstd(facts=facts, bounds=bounds)
     steps = changes or zstd
@@ -93,15 +85,15 @@ def plan(
         robot=robot.name,
         summary=_summary(robot, facts),
         steps=(*steps, *_proof(robot)),
-        explain=(_why(facts),),
-        recover=(_forget(facts),) if needs_script(facts) else (),
+        explain=(_journal(facts),),
+        recover=(_remove_source(facts),) if needs_script(facts) else (),
         afterwards=zstd if changes else (),
         record=Record(verb="provision", release="", by=by),
     )
 
 
 def needs_script(facts: Facts) -> bool:
-    """Whether Docker's convenience script has to run: there is no Docker, from whatever source."""
+    """Whether Docker's convenience script has to run: no Docker is installed, from any source."""
     return facts.docker.state == "absent" and not _engine_package(facts)
 
 
@@ -115,11 +107,11 @@ def _summary(robot: Robot, facts: Facts) -> str:
     return f"{which}, ready for {facts.login.name}"
 
 
-def _fits(robot: Robot, facts: Facts) -> None:
+def _check_platform(robot: Robot, facts: Facts) -> None:
     if robot.platform in facts.host.platforms:
         return
     if not facts.host.platforms:
-        raise NotReady(f"its processor is {facts.host.machine or 'unknown'}, for which there are no images")
+        raise NotReady(f"there are no images for its processor ({facts.host.machine or 'unknown'})")
     fitting = f"set `platform: {facts.host.platforms[0]}` for {robot.name} in the inventory"
     if facts.host.machine == "aarch64" and facts.host.platforms[0] == "linux/arm/v7":
         raise NotReady(
@@ -131,11 +123,11 @@ def _fits(robot: Robot, facts: Facts) -> None:
     )
 
 
-def _pin(robot: Robot, facts: Facts) -> None:
+def _check_version(robot: Robot, facts: Facts) -> None:
     pin, installed = robot.docker.version, facts.docker.version or facts.docker.client
     if not pin or not installed or _numbers(pin) == _numbers(installed):
         return
-    remove = "remove it there (its containers stop; images stay), then provision again"
+    remove = "remove Docker on the robot (its containers stop; images stay), then provision again"
     if _numbers(pin) < _numbers(installed):
         raise NotReady(
             f"Docker {installed} is installed, and the inventory pins {pin}: fleet does not downgrade",
@@ -143,7 +135,7 @@ def _pin(robot: Robot, facts: Facts) -> None:
         )
     raise NotReady(
         f"Docker {installed} is installed, and the inventory pins {pin}: an upgrade would restart its containers",
-        cure=f"upgrade it there when that suits (`sudo apt-get install --only-upgrade "
+        cure=f"upgrade Docker on the robot at a suitable time (`sudo apt-get install --only-upgrade "
         f"{_engine_package(facts) or 'docker-ce'}`); or {remove}",
     )
 
@@ -153,11 +145,11 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.split(r"[^0-9.]", version)[0].split(".") if part)
 
 
-def _room(facts: Facts) -> None:
+def _check_disk(facts: Facts) -> None:
     if facts.disk.size and facts.disk.free < ROOM:
         raise NotReady(
             f"it needs {human_bytes(ROOM)} of free disk, and has {human_bytes(facts.disk.free)}",
-            cure="free some: `sudo apt-get clean` there, `sudo du -xh / | sort -h | tail` shows what is large",
+            cure="free some space on the robot: `sudo apt-get clean`; `sudo du -xh / | sort -h | tail` shows large folders",
         )
 
 
@@ -170,7 +162,7 @@ def _clock(facts: Facts, *, now: float) -> tuple[Step, ...]:
 
 
 def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
-    """Install what is missing: Docker by its script, or the packages that an installed one lacks."""
+    """Install what is missing: Docker with its script, or packages that an installed Docker lacks."""
     if needs_script(facts):
         steps = _by_script(robot, facts, script=script, bounds=bounds)
     else:
@@ -185,7 +177,7 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
 
 def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds) -> tuple[Step, ...]:
     clashing = tuple(name for name in facts.packages.installed if name in _CLASHING)
-    remove = apt.patiently(
+    remove = apt.run(
         f"remove {' and '.join(clashing)}, which clash with Docker's own packages",
         (*apt.REMOVE, *clashing),
         facts=facts,
@@ -195,15 +187,15 @@ def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds)
     run = ("sh", SCRIPT, *pin)
     title = f"install Docker{' '.join(('', *pin[1:]))}, which takes minutes"
     return (
-        *((_forget(facts),) if facts.packages.docker_source else ()),
+        *((_remove_source(facts),) if facts.packages.docker_source else ()),
         *((remove,) if clashing else ()),
         _send(robot, script),
-        apt.patiently(title, run, facts=facts, bounds=bounds),
+        apt.run(title, run, facts=facts, bounds=bounds),
         Step(
-            title="prove that the script installed it",
-            argv=("sh", "-c", _IS_THERE),
+            title="prove that the script installed Docker",
+            argv=("sh", "-c", _IS_INSTALLED),
             limit=20.0,
-            cure=f"`sudo sh -x {SCRIPT}` there shows what it does",
+            cure=f"`sudo sh -x {SCRIPT}` on the robot shows what the script does",
         ),
         Step(title="remove the script", argv=("rm", "-f", SCRIPT), limit=20.0),
     )
@@ -211,14 +203,8 @@ def _by_script(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Bounds)
 
 def _by_packages(facts: Facts, *, bounds: apt.Bounds) -> tuple[Step, ...]:
     client = "docker-ce-cli" if _engine_package(facts) == "docker-ce" else "docker-cli"
-    add_client = apt.patiently(f"install {client}", (*apt.INSTALL, client), facts=facts, bounds=bounds)
-    add_compose = apt.patiently(
-        "install Docker's Compose plugin",
-        apt.COMPOSE_PLUGIN,
-        facts=facts,
-        bounds=bounds,
-        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then provision again",
-    )
+    add_client = apt.run(f"install {client}", (*apt.INSTALL, client), facts=facts, bounds=bounds)
+    add_compose = apt.compose_plugin(facts=facts, bounds=bounds)
     return (
         *((add_client,) if facts.docker.state == "absent" else ()),
         *((add_compose,) if not facts.docker.compose else ()),
@@ -226,7 +212,7 @@ def _by_packages(facts: Facts, *, bounds: apt.Bounds) -> tuple[Step, ...]:
 
 
 def _send(robot: Robot, script: bytes) -> Step:
-    """Send the script and prove that it arrived whole."""
+    """Send the script and prove that it is complete."""
     digest = hashlib.sha256(script).hexdigest()
     return Step(
         title=f"send Docker's script ({robot.docker.script})",
@@ -253,7 +239,7 @@ def _boot(facts: Facts) -> tuple[Step, ...]:
     if facts.docker.state == "ready" and facts.docker.starts_at_boot:
         return ()
     if facts.docker.state == "stopped":
-        # systemd refuses to start what failed several times within a minute, until told to forget it.
+        # systemd refuses to start a service that failed several times within a minute, until that is reset.
         argv = as_root(facts, "sh", "-c", _RESTART)
     else:
         argv = as_root(facts, "systemctl", "enable", "--now", "docker")
@@ -261,7 +247,7 @@ def _boot(facts: Facts) -> tuple[Step, ...]:
 
 
 def _proof(robot: Robot) -> tuple[Step, ...]:
-    """Prove, on a new login, that everything `plan` promises is so."""
+    """Prove on a new login that Docker, Compose and containers work."""
     version = ("docker", "version", "--format", '{{index (split .Server.Version "+") 0}}')
     return (
         Step(
@@ -270,7 +256,7 @@ def _proof(robot: Robot) -> tuple[Step, ...]:
             expect=robot.docker.version,
             fresh_login=True,
         ),
-        Step(title="prove that Compose is there", argv=("docker", "compose", "version")),
+        Step(title="prove that Compose is installed", argv=("docker", "compose", "version")),
         Step(
             title="prove that Docker starts at boot",
             argv=("systemctl", "is-enabled", "docker"),
@@ -279,22 +265,22 @@ def _proof(robot: Robot) -> tuple[Step, ...]:
         ),
         Step(
             title="prove that a container runs",
-            argv=("sh", "-c", _CONTAINER, "sh", PROOF_IMAGE),
+            argv=("sh", "-c", onboard.text("prove_container.sh"), "prove_container", PROOF_IMAGE),
             limit=120.0,
         ),
     )
 
 
-def _forget(facts: Facts) -> Step:
-    """A package source that a failed installation left makes every later ``apt-get update`` fail."""
+def _remove_source(facts: Facts) -> Step:
+    """Remove the package source that a failed installation left: it would make every ``apt-get update`` fail."""
     return Step(
-        title="forget Docker's package source",
-        argv=as_root(facts, "sh", "-c", _FORGET),
+        title="remove Docker's package source",
+        argv=as_root(facts, "sh", "-c", _REMOVE_SOURCE),
         limit=20.0,
     )
 
 
-def _why(facts: Facts) -> Step:
+def _journal(facts: Facts) -> Step:
     return Step(
-        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _REASONS), limit=20.0
+        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _JOURNAL), limit=20.0
     )

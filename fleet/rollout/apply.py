@@ -1,12 +1,12 @@
-"""How is one plan carried out on one robot, and what became of it?
+"""How is one plan carried out on one robot?
 
-A step is believed by its proof only. When the link is lost, a step that resumes is run again on a new connection.
+A step counts as done only when its proof succeeds. If the connection is lost, a step that can resume is run again on a
+new connection.
 """
 
 from __future__ import annotations
 
 import contextlib
-import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -14,24 +14,22 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from fleet import terminal
 from fleet.diagnosis.explain import explain
 from fleet.errors import CommandFailed, LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
+from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
 from fleet.rollout.link import output_of
-from fleet.units import human_seconds
+from fleet.rollout.reconnect import RETRY_FOR, RetryTimer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from fleet.plan.step import Feed, Plan, Step
-    from fleet.robot.facts import Facts
     from fleet.rollout.link import Link
     from fleet.rollout.progress import Progress
 
     Opener = Callable[[Feed], Iterable[bytes]]
 
-RETRY_FOR = 180.0
-"""Seconds to try to get a lost link back, counted from the last byte that left."""
 
 NOTE = "note:"
 """How a line begins that a script on a robot writes for the person who waits for it."""
@@ -39,27 +37,21 @@ NOTE = "note:"
 GOES_ON = "the robot goes on by itself: `fab status` shows the result"
 AGAIN = "run the same command again when the robot is back"
 
-_PAUSES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
-"""Seconds between attempts to connect again; the last one for all that follow."""
-
-UNUSABLE = 65
-"""The exit code of commands that got all they were to get, and cannot use it (sysexits.h, EX_DATAERR)."""
-
 
 @runtime_checkable
 class InteractiveFeed(Protocol):
-    """Bytes to send that depend on what the robot says: it hears that, and is closed when nobody asks any more."""
+    """An input stream that reacts to the command's output. It is closed when the command ends."""
 
     on_note: Callable[[str], None]
 
     def on_output(self, data: bytes) -> None:
-        """Take a piece of the robot's output."""
+        """Take the next bytes of the command's output."""
 
     def close(self) -> None:
-        """Nobody asks any more."""
+        """Stop: no more bytes are needed."""
 
     def __iter__(self) -> Iterator[bytes]:
-        """The bytes, as they are asked for."""
+        """Yield the bytes to send."""
 
 
 def apply(
@@ -72,8 +64,9 @@ def apply(
 ) -> Outcome:
     """Carry out one plan.
 
-    A step that can go on where it was is run again when the link comes back within ``retry_for`` seconds. One that fails
-    ends the plan: why is asked, what ran before is started again, and both are told.
+    If the connection is lost, it is retried for ``retry_for`` seconds, counted from the last byte that was sent, and a
+    step that can resume is run again. A step that fails ends the plan: the robot is asked for the reason, what was begun is
+    undone, and the outcome reports both.
     """
     if not plan.steps:
         return Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
@@ -84,60 +77,20 @@ def apply(
     for step in plan.steps:
         touched = touched or not step.harmless
         try:
-            work.persist(step)
+            work.run(step)
         except RobotError as problem:
             outcome = _failed(plan, step, problem, link, progress=progress, touched=touched)
             return replace(outcome, sent=work.bytes)
     for step in _note(plan, outcome="done"):
-        with contextlib.suppress(
-            RobotError
-        ):  # a robot whose disk is full cannot, and what it runs matters more
-            work.persist(step, quietly=True)
+        # A full disk has no room for a line of history, and the release that runs matters more.
+        with contextlib.suppress(RobotError):
+            work.run(step, quietly=True)
     for step in plan.afterwards:
         progress.step_started(plan.robot, step.title, None)
         _ask(step, link)
     return Outcome(
         robot=plan.robot, status="done", summary=plan.summary, sent=work.bytes, transfer=plan.transfer
     )
-
-
-def look(link: Link, *, images: bool, progress: Progress, retry_for: float = RETRY_FOR) -> Facts:
-    """What a robot has now, asked again where the link is lost meanwhile.
-
-    A robot that cannot be reached in the first place may be switched off: that is told at once.
-    """
-    timer, reached = _RetryTimer(link, seconds=retry_for, progress=progress), False
-    while True:
-        try:
-            reached = bool(link.session)
-            return link.facts(images=images)
-        except (LinkLost, Unreachable) as problem:
-            if not reached:
-                raise
-            timer.wait(problem)
-
-
-class _RetryTimer:
-    """How long a link that was lost is tried again, and how often."""
-
-    def __init__(self, link: Link, *, seconds: float, progress: Progress) -> None:
-        self._link = link
-        self._seconds = seconds
-        self._progress = progress
-        self.renew()
-
-    def renew(self) -> None:
-        """Count from now."""
-        self._until, self._pauses = time.monotonic() + self._seconds, iter(_PAUSES)
-
-    def wait(self, problem: RobotError) -> None:
-        """Wait before the next attempt, which is on a new connection; raise the problem where there is to be none."""
-        left = self._until - time.monotonic()
-        if left <= 0 or self._link.closed.is_set():
-            raise problem
-        self._progress.note(self._link.robot.name, f"{problem.what}; trying again for {human_seconds(left)}")
-        self._link.reconnect()
-        self._link.closed.wait(min(left, next(self._pauses, _PAUSES[-1])))
 
 
 class _Notes:
@@ -158,7 +111,7 @@ class _Notes:
 
 
 class _Work:
-    """One plan being carried out: what all of its steps need, and how many bytes they have sent."""
+    """A plan while it is carried out: what its steps need, and the number of bytes they have sent."""
 
     def __init__(
         self,
@@ -176,9 +129,9 @@ class _Work:
         self._retry_for = retry_for
         self.bytes = 0
 
-    def persist(self, step: Step, *, quietly: bool = False) -> None:
-        """Run a step; when the link is lost under one that resumes, connect again and go on."""
-        timer = _RetryTimer(self._link, seconds=self._retry_for, progress=self._progress)
+    def run(self, step: Step, *, quietly: bool = False) -> None:
+        """Run a step. If the connection is lost and the step can resume, reconnect and run it again."""
+        timer = RetryTimer(self._link, seconds=self._retry_for, progress=self._progress)
         while True:
             before = self.bytes
             try:
@@ -187,18 +140,19 @@ class _Work:
                 if not step.resumes:
                     raise
                 if self.bytes > before:
-                    timer.renew()
+                    timer.restart()
                 timer.wait(problem)
 
     def _do(self, step: Step, *, quietly: bool) -> None:
         if not quietly:
             self._progress.step_started(self._robot, step.title, step.feed.size if step.feed else None)
         if step.detached:
-            return self._attend(step)
+            self._attend(step)
+            return
         feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
             _do(step, self._link, feed=feed, on_sent=self._count)
-            return None
+            return
         feed.on_note = lambda text: self._progress.step_started(self._robot, text, None)
         try:
             _do(step, self._link, feed=feed, on_sent=self._count, on_output=feed.on_output)
@@ -210,7 +164,7 @@ class _Work:
         notes = _Notes(lambda text: self._progress.note(self._robot, text))
         result = self._link.session.run(step.argv, limit=step.limit, on_output=notes.hear)
         if result.code:
-            # Compose writes control sequences into logs even where no terminal reads them.
+            # Compose writes control sequences into logs even without a terminal.
             text = terminal.plain(result.errors).strip() or f"it ended with code {result.code}"
             raise CommandFailed(text, cure=explain(text)[1] or step.cure, code=result.code, output=text)
 
@@ -230,17 +184,17 @@ def _do(
     on_sent: Callable[[int], None] | None = None,
     on_output: Callable[[bytes], None] | None = None,
 ) -> None:
-    """Run one step and believe only its proof."""
+    """Run one step and check its proof."""
     if step.fresh_login:
         link.reconnect()
-    nothing = None if step.until_closed else ()
-    said = nothing if feed is None else feed
-    result = link.session.run(step.argv, feed=said, limit=step.limit, on_sent=on_sent, on_output=on_output)
+    no_input = None if step.until_closed else ()
+    stdin = no_input if feed is None else feed
+    result = link.session.run(step.argv, feed=stdin, limit=step.limit, on_sent=on_sent, on_output=on_output)
     output = output_of(step.argv, result, cure=step.cure)
-    # A robot whose login scripts print puts that before the answer: whole lines, so "inactive" is not "active".
+    # Login scripts may print lines before the answer. Whole lines are compared, so "inactive" is not "active".
     if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
         last = output.strip().splitlines()[-1:] or ["nothing"]
-        raise NotAsPlanned(f"the proof fails: it says {last[0][:200]!r}", cure=step.cure)
+        raise NotAsPlanned(f"the check after this step failed: it printed {last[0][:200]!r}", cure=step.cure)
 
 
 def _failed(
@@ -261,18 +215,18 @@ def _failed(
 def _aftermath(
     plan: Plan, step: Step, problem: RobotError, link: Link, *, progress: Progress, touched: bool
 ) -> tuple[str, str]:
-    """Ask why, start what ran before (where that was ``touched``), note the failure.
+    """Ask for the reason, undo what was begun if the robot was ``touched``, and write the failure into the history.
 
-    Returns the reason, with all that was learned, and the cure.
+    Returns the reason with all details, and the cure.
     """
     reason = problem.what
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
         link.reconnect()
     if isinstance(problem, LinkLost | Unreachable):
         return reason, problem.cure or (GOES_ON if step.detached else AGAIN)
-    for asked in plan.explain if touched else ():
-        if said := _ask(asked, link):
-            reason += "\n" + said
+    for question in plan.explain if touched else ():
+        if details := _ask(question, link):
+            reason += "\n" + details
     for undoing in plan.recover if touched else ():
         progress.step_started(plan.robot, undoing.title, None)
         try:
@@ -287,13 +241,13 @@ def _aftermath(
 
 def _ask(step: Step, link: Link) -> str:
     try:
-        # Compose writes control sequences into logs even where no terminal reads them.
+        # Compose writes control sequences into logs even without a terminal.
         return terminal.plain(link.session.run(step.argv, limit=step.limit).output).strip()
     except RobotError:
         return ""
 
 
 def _note(plan: Plan, *, outcome: str) -> tuple[Step, ...]:
-    """Keep the history."""
+    """Return the step that writes the history, if the plan keeps one."""
     when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return (compose_steps.note(plan.record, when=when, outcome=outcome),) if plan.record else ()

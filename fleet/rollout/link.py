@@ -1,4 +1,4 @@
-"""How is one robot reached for as long as a verb works on it? A line connects when it is used, and again when it must."""
+"""How is one robot reached while a verb works on it?"""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Link:
-    """The line to one robot: connects when first used, can connect afresh, and is closed from outside on Ctrl-C."""
+    """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -36,23 +36,23 @@ class Link:
         return self._session
 
     def reconnect(self) -> None:
-        """Connect anew at the next use: group membership is read at login."""
+        """Use a new connection from now on. A new login also reads the user's groups again."""
         if self._session:
             self._session.close()
         self._session = None
 
     def close(self) -> None:
-        """Close for good; whatever runs on it ends at once."""
+        """Close for good; a command that runs on the link ends at once."""
         self.closed.set()
         if self._session:
             self._session.close()
 
     def run(self, *argv: str, limit: float = 60.0) -> str:
-        """The output of a command that must succeed. Raises `CommandFailed`, or what the session raises."""
+        """Return the output of a command that must succeed. Raises `CommandFailed`, or what the session raises."""
         return output_of(argv, self.session.run(argv, limit=limit))
 
     def facts(self, *, images: bool = False) -> facts.Facts:
-        """What the robot has now, in one round trip; with ``images`` also what it holds of them."""
+        """Return the robot's facts, read in one round trip; with ``images`` also those about its images."""
         answer = self.session.run(probe.command(images=images), limit=30)
         if f"{probe.MARK} end" not in answer.output:
             raise NotAsPlanned(
@@ -62,14 +62,14 @@ class Link:
 
 
 def output_of(argv: Sequence[str], result: connect.Result, *, cure: str = "") -> str:
-    """What a command wrote that must succeed. Raises `CommandFailed` with what its words mean."""
+    """Return the output of a command that must succeed. Raises `CommandFailed`, which explains the error output."""
     if result.code == 0:
         return result.output
-    said = result.errors.strip() or result.output.strip()
-    what, known_cure = explain.explain(said)
+    error_output = result.errors.strip() or result.output.strip()
+    what, known_cure = explain.explain(error_output)
     raise CommandFailed(
         what or f"`{argv[0]}` ended with code {result.code}",
         cure=known_cure or cure,
         code=result.code,
-        output=said,
+        output=error_output,
     )

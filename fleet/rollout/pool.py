@@ -1,7 +1,7 @@
-"""How do many robots get their plans, and what became of each?
+"""How is work done on many robots at once?
 
-`each` runs one piece of work per robot in a bounded pool of threads. A robot's failure is its outcome, never the
-others'. Ctrl-C closes every connection, and says what became of each robot.
+`each` runs one piece of work per robot in a bounded pool of threads. A robot that fails does not affect the others.
+Ctrl-C closes every connection; each robot still gets an outcome.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fleet.rollout.progress import Progress
 
 AT_ONCE = 32
-"""Robots worked on at the same time: 200 robots are reached in seconds, and sshd's MaxStartups is not tripped."""
+"""Robots worked on at the same time: 200 robots are reached in seconds, and a jump host's sshd (MaxStartups) copes."""
 
 
 def each(
@@ -33,14 +33,14 @@ def each(
     progress: Progress,
     at_once: int = AT_ONCE,
 ) -> tuple[Outcome, ...]:
-    """Run ``work`` for every robot, at most ``at_once`` at a time; an outcome for each, in the order of ``robots``."""
+    """Run ``work`` for every robot, at most ``at_once`` at a time. Returns the outcomes in the order of ``robots``."""
     links = [Link(robot) for robot in robots]
     todo: queue.SimpleQueue[Link] = queue.SimpleQueue()
     done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
     for link in links:
         todo.put(link)
     for _ in range(min(at_once, len(links))):
-        # Daemons, because Python would wait at its end for a thread that is still connecting.
+        # Daemons: otherwise Python would wait at its end for a thread that is still connecting.
         threading.Thread(target=_work_off, args=(todo, done, work), daemon=True).start()
     outcomes: dict[str, Outcome] = {}
     try:
@@ -52,7 +52,7 @@ def each(
             if name not in outcomes:
                 outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
                 progress.finished(outcomes[name])
-    except BrokenPipeError:  # nobody reads any more what the robots say
+    except BrokenPipeError:  # the reader of the output is gone (`| head`)
         for link in links:
             link.close()
         raise
@@ -87,16 +87,16 @@ def _collect(
     bugs: list[BaseException] = []
     while len(outcomes) + len(bugs) < until:
         try:
-            came = done.get(timeout=0.5)  # a wait without end would not notice Ctrl-C
+            result = done.get(timeout=0.5)  # a wait without a timeout would not notice Ctrl-C
         except queue.Empty:
             continue
-        if isinstance(came, Outcome):
-            outcomes[came.robot] = came
-            progress.finished(came)
-        elif isinstance(came, BrokenPipeError):
-            raise came
+        if isinstance(result, Outcome):
+            outcomes[result.robot] = result
+            progress.finished(result)
+        elif isinstance(result, BrokenPipeError):
+            raise result
         else:
-            bugs.append(came)
+            bugs.append(result)
     if bugs:
         raise bugs[0]
 

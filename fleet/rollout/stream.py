@@ -1,6 +1,6 @@
-"""What do many robots say, line by line, as it comes? Logs, the output of commands, the messages of a topic.
+"""How are logs, command output and topic messages of many robots shown line by line as they arrive?
 
-Each robot has a thread; all lines go to one printer. Ctrl-C ends the listening and is not a failure.
+Each robot has a thread; all lines go to one printer. Ctrl-C ends the stream and is not a failure.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 
 class Lines:
-    """Bytes as they arrive, handed on as whole lines."""
+    """Split bytes, as they arrive, into whole lines."""
 
     def __init__(self, on_line: Callable[[str], None]) -> None:
         self._on_line = on_line
         self._rest = b""
 
     def on_output(self, data: bytes) -> None:
-        """Take a piece of output."""
+        """Take the next bytes of output."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             self._on_line(line.decode(errors="replace").rstrip("\r"))
 
     def end(self) -> None:
-        """Hand on a last line that has no end."""
+        """Pass on a last line that has no line end."""
         if self._rest:
             self.on_output(b"\n")
 
@@ -51,7 +51,7 @@ def logs(
     printer: Printer,
     progress: Progress,
 ) -> tuple[Outcome, ...]:
-    """Print what each robot's containers said, and with ``follow`` what they say from now on."""
+    """Print the logs of each robot's containers, and with ``follow`` also new lines as they come."""
 
     def work(link: Link) -> Outcome:
         argv = argv_of(link.robot, link.facts())
@@ -64,7 +64,7 @@ def logs(
 def run(
     robots: Sequence[Robot], command: str, *, limit: float, printer: Printer, progress: Progress
 ) -> tuple[Outcome, ...]:
-    """Run a line of shell on each robot; ``limit`` in seconds, 0 for none."""
+    """Run a shell command on each robot. ``limit`` is in seconds, 0 for none."""
 
     def work(link: Link) -> Outcome:
         return _stream(link, ("sh", "-c", command), printer, feed=(), limit=limit or None)
@@ -75,15 +75,20 @@ def run(
 def topics(
     robots: Sequence[Robot], topic: str, *, count: int, timeout: float, printer: Printer, progress: Progress
 ) -> tuple[Outcome, ...]:
-    """Print a topic's messages from each robot: ``count`` of them, or without end for 0; silence in seconds."""
+    """Print a topic's messages from each robot: ``count`` messages, or all for 0.
+
+    ``timeout``: seconds without a message after which the robot counts as failed.
+    """
 
     def work(link: Link) -> Outcome:
-        heard = 0
+        received = 0
         for text in islice(listen.messages(link.robot, topic, timeout=timeout), count or None):
-            heard += 1
+            received += 1
             for part in text.splitlines():
                 printer(link.robot.name, part)
-        return Outcome(robot=link.robot.name, status="done", summary=f"heard {heard} messages on {topic}")
+        return Outcome(
+            robot=link.robot.name, status="done", summary=f"received {received} messages on {topic}"
+        )
 
     return each(robots, work, progress=progress, at_once=len(robots))
 

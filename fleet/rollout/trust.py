@@ -18,9 +18,13 @@ if TYPE_CHECKING:
     from fleet.ssh.known_hosts import HostKey, Verdict
 
 
+ASK = "ask for the host key"
+"""The title of the only step."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Offer:
-    """The host key a robot offers, the name it is kept under, and what the files say of it so far."""
+    """The host key that a robot offers, its name in ``known_hosts`` files, and whether it is known there."""
 
     robot: Robot
     name: str
@@ -32,31 +36,34 @@ class Offer:
         return f"{self.robot.name}  {self.name}  {self.key.kind}  {self.key.fingerprint}  {self.verdict}"
 
 
-def look(robots: Sequence[Robot], *, progress: Progress) -> tuple[tuple[Offer, ...], tuple[Outcome, ...]]:
-    """Ask every robot for its key; nobody logs in. The offers, and the outcomes of those that cannot be reached."""
+def offered_keys(
+    robots: Sequence[Robot], *, progress: Progress
+) -> tuple[tuple[Offer, ...], tuple[Outcome, ...]]:
+    """Ask every robot for its host key, without logging in. Returns the offers, and the outcomes of unreachable robots."""
     offers: dict[str, Offer] = {}
 
     def ask(link: Link) -> Outcome:
         robot = link.robot
-        progress.step_started(robot.name, "ask for the host key", None)
+        progress.step_started(robot.name, ASK, None)
         name, key = connect.offered_key(robot)
         known = known_hosts.read((robot.known_hosts, *openssh_config.resolve(robot).known_hosts))
         offers[robot.name] = Offer(robot=robot, name=name, key=key, verdict=known.verdict(name, key))
         return Outcome(robot=robot.name, status="done")
 
+    progress.announce([robot.name for robot in robots], ASK)
     outcomes = each(robots, ask, progress=progress)
     there = tuple(offers[robot.name] for robot in robots if robot.name in offers)
     return there, tuple(outcome for outcome in outcomes if not outcome.good)
 
 
 def to_record(offers: Iterable[Offer], *, changed: bool) -> tuple[Offer, ...]:
-    """The offers that recording would add; changed keys only where the person says so, revoked ones never."""
+    """Select the offers to record: unknown keys, changed ones only with ``changed``, revoked ones never."""
     wanted = {"unknown", "changed"} if changed else {"unknown"}
     return tuple(offer for offer in offers if offer.verdict in wanted)
 
 
 def outcome(offer: Offer, *, recorded: bool, dry: bool) -> Outcome:
-    """What became of one offer, or would without ``dry``."""
+    """Return the outcome of one offer, or with ``dry`` what would be done."""
     summary = f"{offer.key.kind} {offer.key.fingerprint}"
     if recorded and dry:
         return Outcome(robot=offer.robot.name, status="unchanged", summary=f"would record {summary}")
@@ -65,8 +72,8 @@ def outcome(offer: Offer, *, recorded: bool, dry: bool) -> Outcome:
     if offer.verdict == "known":
         return Outcome(robot=offer.robot.name, status="unchanged", summary=f"known {summary}")
     cures = {
-        "unknown": "`fab trust` asks, and `fab trust --yes` does without asking",
-        "changed": "if the robot was set up again: `fab trust --changed`",
+        "unknown": "`fab trust` asks before it records the key; `fab trust --yes` does not ask",
+        "changed": "if the robot was reinstalled: `fab trust --changed`",
     }
     reason = f"its host key is {offer.verdict} and was not recorded: {summary}"
     return Outcome(robot=offer.robot.name, status="failed", reason=reason, cure=cures.get(offer.verdict, ""))

@@ -1,4 +1,4 @@
-"""Which ROS environment does a robot get, and where does the desktop find its master?
+"""Which ROS variables does a robot get, and where does the desktop find its ROS master?
 
 https://wiki.ros.org/ROS/EnvironmentVariables and https://wiki.ros.org/ROS/NetworkSetup say what the variables mean.
 """
@@ -19,10 +19,10 @@ VARIABLES = ("ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
 
 
 def environment(robot: Robot) -> dict[str, str]:
-    """Return the ROS variables of a robot's containers; one that is not set is not there (ROS chokes on empty ones).
+    """Return the ROS variables of a robot's containers; a variable without a value is left out, because ROS fails on empty ones.
 
-    ``ROS_HOSTNAME`` or ``ROS_IP`` is what its nodes tell others to call them by. Unless the inventory says otherwise
-    it is the robot's address, name or IP alike: ``ROS_HOSTNAME`` takes both.
+    ``ROS_HOSTNAME`` or ``ROS_IP`` is the address that the robot's nodes register with the master. The default is the
+    robot's address, a name or an IP address: ``ROS_HOSTNAME`` accepts both.
     """
     own_master = f"http://localhost:{MASTER_PORT}"
     values = (
@@ -35,9 +35,9 @@ def environment(robot: Robot) -> dict[str, str]:
 
 
 def own_names(robot: Robot) -> tuple[str, ...]:
-    """Return what a robot may be called by, the most trusted first: its address has been logged in at.
+    """Return a robot's names, the most reliable first: SSH logs in at its address.
 
-    The address may be an alias that only OpenSSH's configuration knows; then one of the others has to do.
+    The address may be an alias of OpenSSH's configuration; then one of the others is needed.
     """
     names = (robot.address, robot.ros.hostname, robot.ros.ip)
     return tuple(dict.fromkeys(name for name in names if name))
@@ -46,7 +46,7 @@ def own_names(robot: Robot) -> tuple[str, ...]:
 def masters(robot: Robot) -> tuple[str, ...]:
     """Return the URIs where the desktop may find the robot's master, best first.
 
-    A robot's own master is at localhost for the robot, and at the robot's address for everybody else.
+    The robot reaches its own master at localhost; all others reach it at the robot's address.
     """
     if not has_own_master(robot):
         return (robot.ros.master,)
@@ -55,7 +55,7 @@ def masters(robot: Robot) -> tuple[str, ...]:
 
 
 def has_own_master(robot: Robot) -> bool:
-    """Whether the robot runs a master of its own, rather than sharing one."""
+    """Whether the robot runs its own master, and does not share one."""
     return robot.ros.master == OWN or is_loopback(urlsplit(robot.ros.master).hostname or "")
 
 

@@ -1,8 +1,8 @@
-"""What do a robot's messages say, heard from the desktop? Or why can nobody hear them?
+"""Which messages does a robot publish, as received on the desktop? If none arrive, why not?
 
-ROS 1 fails quietly: a topic is listed and no data comes, because a node tells others to call it by a name that means
-nothing, or something else, to them. So every step to a message is taken one by one here, and the one that fails is
-named, with its cure.
+ROS 1 fails silently: a topic is listed but no data arrives, because a node registers with a name that does not resolve
+elsewhere, or that leads to another computer. So each step on the way to a message is taken separately here; the step that
+fails is named, with its cure.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
     from fleet.config.inventory import Robot
 
-STEP = 10.0  # seconds for each question to a name server, master or node
+STEP = 10.0  # seconds for each request to a name server, master or node
 
 
 def messages(robot: Robot, topic: str, *, timeout: float) -> Iterator[str]:
-    """Yield a topic's messages from now on, each as text in the manner of ``rostopic echo``.
+    """Yield a topic's messages from now on, each as text like that of ``rostopic echo``.
 
-    A relative topic name follows the robot's namespace, as its own nodes' would. ``timeout``: seconds of silence after
-    which the topic counts as silent. Ends by raising only: `Unreachable`, `NotAsPlanned`, `TimedOut` or `LinkLost`,
-    whichever step of listening failed.
+    A relative topic name is resolved in the robot's namespace, as for its own nodes. ``timeout``: seconds without a
+    message after which the topic counts as silent. The iterator ends only by raising `Unreachable`, `NotAsPlanned`,
+    `TimedOut` or `LinkLost`, depending on the step that failed.
     """
     name = tcpros.resolved(topic, robot.ros.namespace or "")
     with contextlib.closing(_stream(robot, name)) as stream:
@@ -41,12 +41,13 @@ def messages(robot: Robot, topic: str, *, timeout: float) -> Iterator[str]:
             raise NotAsPlanned(f"{name} cannot be read: {problem}") from problem
         except tcpros.Silent as problem:
             raise TimedOut(
-                f"{name} was silent for {timeout:g} s; its publisher accepts listeners and sends them nothing",
-                cure=f"`fab logs --hosts {robot.name}` shows what the node is doing",
+                f"{name} was silent for {timeout:g} s: its publisher accepts subscribers but sends no message",
+                cure=f"`fab logs --hosts {robot.name}` shows what the node does",
             ) from problem
         except tcpros.GraphError as problem:
             raise LinkLost(
-                f"the publisher of {name} hung up", cure="it was stopped or restarted: listen again"
+                f"the publisher of {name} closed the connection",
+                cure="it was stopped or restarted: listen again",
             ) from problem
 
 
@@ -96,9 +97,9 @@ def _ask(robot: Robot, node: str, uri: str, topic: str) -> tuple[str, int]:
 
 
 def _check(robot: Robot, node: str, host: str) -> tuple[str, ...]:
-    """See, before connecting, where a node's name leads from here; return where the robot itself is.
+    """Check, before connecting, where a node's name leads from here. Returns the robot's own IP addresses.
 
-    A loopback address would lead to this computer, where another ROS program may well answer.
+    A loopback address would lead to this computer, where another ROS program may answer.
     """
     home = next(filter(None, map(_ips, environment.own_names(robot))), ())
     meaning = _ips(host)
@@ -111,7 +112,7 @@ def _check(robot: Robot, node: str, host: str) -> tuple[str, ...]:
 
 
 def _ips(host: str) -> tuple[str, ...]:
-    """What a host name means here; nothing where it does not resolve."""
+    """Resolve a host name on this computer; nothing if it does not resolve."""
     try:
         return tuple(str(row[4][0]) for row in tcpros.addresses(host, 0, _soon()))
     except tcpros.NameUnknown:
@@ -127,45 +128,49 @@ def _soon() -> float:
 
 
 def nameless_master(robot: Robot) -> RobotError:
-    """No name of the master resolves here."""
+    """Explain that no name of the master resolves here."""
     names = " nor ".join(dict.fromkeys(urlsplit(uri).hostname or uri for uri in environment.masters(robot)))
     key = "ros.hostname or ros.ip" if environment.has_own_master(robot) else "ros.master"
     return Unreachable(
         f"the ROS master cannot be found: {names} does not resolve on this computer{_link_local(names)}",
-        cure=f"set {key} of {robot.name} to a name or IP address that other computers reach (a name that only "
-        "~/.ssh/config knows does for SSH, not for ROS)",
+        cure=f"set {key} of {robot.name} to a name or IP address that other computers can reach (ROS cannot use "
+        "names from ~/.ssh/config)",
     )
 
 
 def no_master(problem: tcpros.GraphError, *, robot: Robot, master: str) -> RobotError:
-    """The master's name resolves, and asking it fails."""
+    """Explain why a master whose name resolves cannot be asked."""
     own = environment.has_own_master(robot)
     status = f"`fab status --hosts {robot.name}` shows whether its containers run"
-    cure = status if own else f"ros.master of {robot.name} names it: is it started, and reachable from here?"
+    cure = (
+        status
+        if own
+        else f"check that it runs, and that this computer can reach it (ros.master of {robot.name} names it)"
+    )
     if isinstance(problem, tcpros.NoConnection):
         host, _ = tcpros.address_of(master)
         if own and environment.is_loopback(_called(robot)) and not environment.is_loopback(host):
             return NotAsPlanned(
-                f"the ROS nodes of {robot.name} call themselves {_called(robot)}, and so listen to {robot.name} only",
+                f"the ROS nodes of {robot.name} call themselves {_called(robot)}, so only {robot.name} itself can reach them",
                 cure=_rename(robot, next(iter(_ips(host)), "")),
             )
         if problem.refused:
             return Unreachable(f"no ROS master listens at {master}", cure=cure)
         return Unreachable(
-            f"the ROS master at {master} is out of reach ({problem.reason})",
-            cure="is the robot on, in a network that this computer reaches, and no firewall between?",
+            f"the ROS master at {master} cannot be reached ({problem.reason})",
+            cure="check that the robot is on, that this computer can reach its network, and that no firewall is between",
         )
     if isinstance(problem, tcpros.Silent):
-        return TimedOut(f"the ROS master at {master} accepts connections and answers nothing", cure=cure)
-    return NotAsPlanned(f"what answers at {master} is no ROS master that works: {problem}", cure=cure)
+        return TimedOut(f"the ROS master at {master} accepts connections but does not answer", cure=cure)
+    return NotAsPlanned(f"the program at {master} is not a working ROS master: {problem}", cure=cure)
 
 
 def unpublished(topic: str, graph: tcpros.Graph, *, robot: Robot) -> RobotError:
-    """The master knows nobody who publishes the topic: is the name wrong, or is nobody there?"""
-    logs = f"`fab logs --hosts {robot.name}` shows what its nodes are doing"
+    """Explain why a topic has no publisher: its name is wrong, or its node does not run."""
+    logs = f"`fab logs --hosts {robot.name}` shows what its nodes do"
     listeners = graph.subscribers.get(topic)
     if listeners:
-        return NotAsPlanned(f"nobody publishes {topic}, though {listeners[0]} listens to it", cure=logs)
+        return NotAsPlanned(f"no node publishes {topic}, although {listeners[0]} subscribes to it", cure=logs)
     published = sorted(graph.publishers)
     last = topic.rpartition("/")[2]
     near = [name for name in published if name.rpartition("/")[2] == last]
@@ -178,10 +183,10 @@ def unpublished(topic: str, graph: tcpros.Graph, *, robot: Robot) -> RobotError:
 
 
 def own_node(uris: Mapping[str, str], topic: str, *, robot: Robot) -> str:
-    """Choose, among a topic's publishers, the robot's own node.
+    """Choose the robot's own node among a topic's publishers.
 
-    With its own master they are all its own, and one with its own name is best. On a shared master the others are
-    other robots'. Raises `NotAsPlanned` where only those publish.
+    With its own master, all are its own; a node with the robot's name is preferred. On a shared master, the others belong
+    to other robots. Raises `NotAsPlanned` if only those publish.
     """
     called = _called(robot)
     own = [node for node, uri in uris.items() if urlsplit(uri).hostname == called.lower()]
@@ -191,15 +196,15 @@ def own_node(uris: Mapping[str, str], topic: str, *, robot: Robot) -> str:
         return next(iter(uris))
     others = ", ".join(f"{node} at {urlsplit(uri).hostname}" for node, uri in list(uris.items())[:3])
     raise NotAsPlanned(
-        f"{topic} is published by {others}, and not by {robot.name}, whose nodes call themselves {called}",
-        cure=f"`fab restart --hosts {robot.name}`: after a restart of a shared master, nodes do not register again",
+        f"{topic} is published by {others}, not by {robot.name}, whose nodes call themselves {called}",
+        cure=f"`fab restart --hosts {robot.name}`: nodes do not register again after a restart of a shared master",
     )
 
 
 def no_node(
     problem: tcpros.GraphError, *, robot: Robot, node: str, host: str, home: Collection[str]
 ) -> RobotError:
-    """A node's name resolves, and talking to it fails."""
+    """Explain why a node whose name resolves sends no data."""
     restart = f"`fab restart --hosts {robot.name}`"
     if isinstance(problem, tcpros.NoConnection):
         meaning = _ips(host)
@@ -208,35 +213,34 @@ def no_node(
             return misnamed(f"which{means} is not where {robot.name} is", robot, node, host, home)
         if problem.refused:
             return Unreachable(
-                f"node {node} is registered and gone: {problem}", cure=f"it died without a word; {restart}"
+                f"node {node} is registered but does not run: {problem}",
+                cure=f"it ended without unregistering; {restart}",
             )
         return Unreachable(
-            f"node {node} is out of reach: {problem}",
-            cure="a firewall? ROS nodes listen on any port above 1023, all of which must be open to this computer",
+            f"node {node} cannot be reached: {problem}",
+            cure="check for a firewall: ROS nodes use any port above 1023, and all of them must be open to this computer",
         )
     if isinstance(problem, tcpros.Silent):
-        return TimedOut(f"node {node} accepts connections and answers nothing: {problem}", cure=restart)
-    return NotAsPlanned(f"node {node} gives no data: {problem}", cure=restart)
+        return TimedOut(f"node {node} accepts connections but does not answer: {problem}", cure=restart)
+    return NotAsPlanned(f"node {node} sends no data: {problem}", cure=restart)
 
 
 def misnamed(meaning: str, robot: Robot, node: str, host: str, home: Collection[str]) -> RobotError:
-    """A node tells others to call it by a name that leads them elsewhere."""
+    """Explain that a node registered with a name that leads elsewhere."""
     called = _called(robot)
     if called.lower() != host.lower():
-        cure = f"the inventory says {called}: `fab ship --hosts {robot.name}`"
+        cure = f"the inventory says {called}: run `fab ship --hosts {robot.name}`"
     else:
         better = next((ip for ip in home if not environment.is_loopback(ip) and ip != host), "")
         cure = _rename(robot, better)
-    return NotAsPlanned(f"node {node} tells others to call it {host}, {meaning}", cure=cure)
+    return NotAsPlanned(f"node {node} registered as {host}, {meaning}", cure=cure)
 
 
 def _rename(robot: Robot, address: str) -> str:
-    return (
-        f"set ros.ip of {robot.name} to {address or 'an IP address that other computers reach'}, and ship it"
-    )
+    return f"set ros.ip of {robot.name} to {address or 'an IP address that other computers can reach'}, then run `fab ship`"
 
 
 def _called(robot: Robot) -> str:
-    """What the robot's nodes were told to call themselves."""
+    """Return the name that the robot's nodes register with."""
     variables = environment.environment(robot)
     return variables.get("ROS_HOSTNAME") or variables["ROS_IP"]

@@ -1,4 +1,4 @@
-"""What do the bytes of a ROS 1 message say?
+"""What values do the bytes of a ROS 1 message hold?
 
 A publisher sends its message definition along (``message_definition`` of the TCPROS connection header), so any topic
 can be read without ROS and without its message packages. https://wiki.ros.org/msg describes definitions,
@@ -24,7 +24,7 @@ Value: TypeAlias = "bool | int | float | str | bytes | Time | list[Value] | dict
 
 
 class Undecodable(ValueError):
-    """A definition that is none, or bytes that are not of that type."""
+    """A definition that is not valid, or bytes that do not match it."""
 
 
 class Time(NamedTuple):
@@ -82,10 +82,10 @@ def _fields(text: str, *, package: str) -> Iterator[Field]:
     for line in map(str.strip, text.splitlines()):
         if not line or line.startswith("#"):
             continue
-        found = _LINE.match(line)
-        if not found:
+        match = _LINE.match(line)
+        if not match:
             raise Undecodable(f"a message definition has the line {line[:80]!r}")
-        kind, array, length, name, after = found.groups()
+        kind, array, length, name, after = match.groups()
         if after != "=":  # that would be a constant, which no message carries
             full = "std_msgs/Header" if kind == "Header" else kind
             full = full if "/" in full or full in _BUILT_IN else f"{package}/{full}"
@@ -102,7 +102,7 @@ def decode(data: bytes, type_name: str, types: Mapping[str, Sequence[Field]]) ->
 
 
 class _Reader:
-    """Walks over a message's bytes; refuses to walk past their end, too deep or for too long."""
+    """Reads a message's bytes in order; refuses to read past their end, too deep, or too many values."""
 
     def __init__(self, data: bytes, types: Mapping[str, Sequence[Field]]) -> None:
         self._data, self._types = data, types

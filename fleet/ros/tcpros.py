@@ -9,7 +9,7 @@ one real message was read::
 
     python3 tcpros.py /time --timeout 5
 
-Nothing here waits for ever: a ``deadline`` is a moment of `time.monotonic`, in seconds.
+Everything has a time limit: a ``deadline`` is a time of `time.monotonic`, in seconds.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ LARGEST_MESSAGE = 256 << 20  # bytes; more than any camera or laser sends
 
 
 class GraphError(Exception):
-    """Something on the way to a message is not as it must be."""
+    """A step on the way to a message failed."""
 
 
 class NameUnknown(GraphError):
-    """A host name means nothing on this computer."""
+    """A host name does not resolve on this computer."""
 
 
 class NoConnection(GraphError):
@@ -50,11 +50,11 @@ class NoConnection(GraphError):
 
 
 class Silent(GraphError):
-    """A peer is connected and says nothing in the time it was given."""
+    """A connected peer did not answer in time."""
 
 
 class Closed(GraphError):
-    """A peer ended the connection."""
+    """A peer closed the connection."""
 
 
 class Refused(GraphError):
@@ -183,7 +183,7 @@ def call(uri: str, method: str, *arguments: Any, deadline: float) -> Any:  # noq
 
 
 class Graph(NamedTuple):
-    """Which nodes publish and subscribe which topics, by the master's books."""
+    """The nodes that publish and subscribe to each topic, as the master lists them."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]

@@ -1,7 +1,7 @@
-"""How is one command on an SSH channel fed, heard and watched, so that it can never hang?
+"""How does one command on an SSH channel get its input, and how is its output read without ever hanging?
 
-Works on a channel and a transport by their methods alone (Paramiko's, see `fleet.ssh.connect`). The caller's thread listens;
-a second thread sends, because a command that fills its output while we fill its input would stop both.
+The channel and the transport are used by their methods only (Paramiko's, see `fleet.ssh.connect`). The caller's thread
+reads, and a second thread sends: with one thread, a command that fills its output while we fill its input would block both.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     OnOutput = Callable[[bytes], None]
 
 PIECE = 128 * 1024
-"""Bytes sent between two signs of progress."""
+"""Bytes sent between two progress reports."""
 
 TICK = 0.1
-"""Seconds between two looks at the clock while nothing comes; what comes is taken at once."""
+"""Seconds between two checks of the time limits while no output arrives; output is read at once."""
 
 GRACE = 15.0
-"""Seconds a robot has to end a command itself at its limit, before the connection is cut from here."""
+"""Seconds that a robot has to stop a command at its limit, before the desktop cuts the connection."""
 
 LINGER = 2.0
-"""Seconds to wait for the end of output after a command has ended: something it started may hold its output open."""
+"""Seconds to wait for the end of output after a command has ended: a process it started may hold the output open."""
 
 BEAT = 10.0
-"""Seconds between two signs of life to a command whose input is held open: from their end it knows that nobody listens."""
+"""Seconds between two bytes that tell a command with open input that the desktop still listens."""
 
-AGAIN = "see that the robot has power and signal, then run the same command again"
+AGAIN = "check the robot's power and network, then run the same command again"
 
 
 class Channel(Protocol):
-    """What is used of ``paramiko.Channel``."""
+    """The part of ``paramiko.Channel`` that is used here."""
 
     @property
     def status_event(self) -> threading.Event: ...
@@ -53,7 +53,7 @@ class Channel(Protocol):
 
 
 class Transport(Protocol):
-    """What is used of ``paramiko.Transport``, which is a thread."""
+    """The part of ``paramiko.Transport`` (a thread) that is used here."""
 
     def is_active(self) -> bool: ...
     def is_alive(self) -> bool: ...
@@ -62,7 +62,7 @@ class Transport(Protocol):
 
 
 class ChannelPump:
-    """One command's input, output and end. Make one per command; `run` once; then read `output` and `errors`."""
+    """One command's input, output and end. Make one per command, call `run` once, then read `output` and `errors`."""
 
     def __init__(self, *, channel: Channel, transport: Transport, link_timeout: float) -> None:
         self._channel = channel
@@ -77,7 +77,7 @@ class ChannelPump:
 
     @property
     def output(self) -> str:
-        """Standard output so far, unless it went to a hearer."""
+        """Standard output so far, unless ``on_output`` received it."""
         return b"".join(self._out).decode(errors="replace")
 
     @property
@@ -93,13 +93,13 @@ class ChannelPump:
         on_sent: OnSent | None,
         on_output: OnOutput | None,
     ) -> int:
-        """Feed and listen until the command ends; its exit code, or -1 where a signal ended it.
+        """Send input and read output until the command ends. Returns its exit code, or -1 if a signal ended it.
 
-        Whatever is raised, the connection is of no more use: close it, and the sending thread ends too.
+        After any exception the connection cannot be used again: close it, which also ends the sending thread.
 
         Raises:
-            LinkLost: the connection ended, or nothing was heard for the time of ``link_timeout``.
-            TimedOut: the robot did not end the command at its limit.
+            LinkLost: the connection was lost, or the robot was silent for ``link_timeout`` seconds.
+            TimedOut: the robot did not stop the command at its limit.
             Whatever iterating ``feed``, ``on_sent`` or ``on_output`` raises.
 
         """
@@ -112,17 +112,17 @@ class ChannelPump:
         else:
             threading.Thread(target=self._send, args=(feed, on_sent), daemon=True).start()
         try:
-            self._listen(on_output or self._out.append, deadline=deadline)
+            self._read(on_output or self._out.append, deadline=deadline)
         finally:
             self._over.set()
         return self._code()
 
-    def _listen(self, on_output: OnOutput, *, deadline: float) -> None:
-        """Take what comes until the command has ended and all it wrote is here."""
-        ended: float | None = None  # or when something was heard after the end
+    def _read(self, on_output: OnOutput, *, deadline: float) -> None:
+        """Read until the command has ended and all its output has arrived."""
+        ended: float | None = None  # later: when the last output after the end arrived
         while ended is None or self._lingers(ended):
-            self._watch(deadline=deadline)
-            self._hear_errors()
+            self._check(deadline=deadline)
+            self._read_errors()
             try:
                 data = self._channel.recv(1 << 20)
             except TimeoutError:
@@ -132,22 +132,22 @@ class ChannelPump:
                 on_output(data)
             if self._channel.exit_status_ready():
                 if data == b"":
-                    self._hear_errors()
+                    self._read_errors()
                     return
                 if data or ended is None:
                     ended = time.monotonic()
-            elif data == b"":  # the command closed its output and runs on
+            elif data == b"":  # the command closed its output and still runs
                 self._channel.status_event.wait(TICK)
 
     def _lingers(self, ended: float) -> bool:
-        """Whether output may still come. A stalled link looks like one held open, so the robot has to answer."""
+        """Whether more output may come. A stalled link looks like held-open output, so the robot must answer a question."""
         if time.monotonic() < ended + LINGER:
             return True
         if self._alive <= ended:
             self._ask()
         return self._alive <= ended
 
-    def _hear_errors(self) -> None:
+    def _read_errors(self) -> None:
         while self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20)):
             self._alive = time.monotonic()
             self._err.append(data)
@@ -157,14 +157,14 @@ class ChannelPump:
         if self._failed:
             raise self._failed
         if code == -1:
-            # Either a signal ended the command, or the connection is just coming down.
+            # Either a signal ended the command, or the connection is being lost right now.
             self._transport.join(0.5)
             if not (self._transport.is_alive() and self._transport.is_active()):
                 raise LinkLost("the connection was lost while the command ran", cure=AGAIN)
         return code
 
     def _send(self, feed: Iterable[bytes], on_sent: OnSent | None) -> None:
-        """Send, in a thread of its own. What goes wrong is raised by the listening thread."""
+        """Send the feed, in a thread of its own. The reading thread raises any error."""
         try:
             for chunk in feed:
                 view = memoryview(chunk)
@@ -174,7 +174,7 @@ class ChannelPump:
                         return
                     if on_sent:
                         on_sent(len(piece))
-        except BaseException as problem:  # noqa: BLE001  handed to the listening thread
+        except BaseException as problem:  # noqa: BLE001  raised by the reading thread
             self._failed = problem
         else:
             self._end_input()
@@ -183,7 +183,7 @@ class ChannelPump:
                 close()
 
     def _beat(self) -> None:
-        """Tell the command that somebody listens. That this could be sent says nothing about the robot."""
+        """Tell the command that the desktop still listens. A successful send does not prove that the robot is alive."""
         with contextlib.suppress(OSError, EOFError):
             while not self._over.wait(BEAT):
                 self._channel.send(b".")
@@ -193,17 +193,17 @@ class ChannelPump:
             self._channel.shutdown_write()
 
     def _push(self, piece: memoryview) -> bool:
-        """Send a piece, however long it takes. False: nobody takes it, and the command's own output has the reason."""
+        """Send a piece, however long it takes. Returns False if the command no longer reads; its output has the reason."""
         while piece:
             try:
                 count = self._channel.send(piece)  # type: ignore[arg-type]  # takes any buffer, annotated bytes
             except TimeoutError:
-                continue  # the robot is busy; the listening thread watches for how long
+                continue  # the robot is busy; the reading thread enforces the time limits
             except (OSError, EOFError):
                 return False
             except Exception as problem:
                 raise LinkLost(
-                    f"the connection broke while bytes were sent: {problem}", cure=AGAIN
+                    f"the connection was lost while bytes were sent: {problem}", cure=AGAIN
                 ) from problem
             if not count:
                 return False
@@ -211,16 +211,16 @@ class ChannelPump:
             piece = piece[count:]
         return True
 
-    def _watch(self, *, deadline: float) -> None:
-        """Give up on a dead connection and on a command that will not end. TCP alone would wait for a quarter hour."""
+    def _check(self, *, deadline: float) -> None:
+        """Raise if the connection is dead or the command does not end. TCP alone would wait for 15 minutes."""
         now = time.monotonic()
         quiet = now - self._alive
         if self._failed:
             raise self._failed
         if now > deadline:
             raise TimedOut(
-                "the command did not end at its time limit, so the connection was cut",
-                cure="is the robot busy?",
+                "the command did not stop at its time limit, so the connection was cut",
+                cure="check whether the robot is overloaded",
             )
         if quiet > self._link_timeout:
             what = f"nothing was heard from the robot for {quiet:.0f} s while the command ran"
@@ -229,7 +229,7 @@ class ChannelPump:
             self._ask()
 
     def _ask(self) -> None:
-        """OpenSSH's ServerAliveInterval: any answer to ``keepalive@openssh.com``, a refusal too, is a sign of life."""
+        """Ask for a sign of life, as OpenSSH's ServerAliveInterval does: any answer counts, a refusal too."""
         if not self._asked:
             self._asked = True
             threading.Thread(target=self._await_answer, daemon=True).start()

@@ -1,10 +1,11 @@
-"""How does a command, or a stream of bytes, reach a robot and never hang?
+"""How is an SSH connection to a robot made that never hangs?
 
-The only module that imports Paramiko. It knows one verb, `Session.run`: run this argv, maybe feeding it bytes. Fabric's
-own ``Connection.run`` is not used: it moves about 80 bytes a second through ``in_stream`` and accepts any host key.
+The only module that imports Paramiko. A connection has one operation, `Session.run`: run this argv, with or without input.
+Fabric's own ``Connection.run`` is not used: it sends about 80 bytes a second through ``in_stream``, and it accepts any host
+key.
 
-Nothing here waits for ever. Every phase of a connection has a time limit, the kernel gives up on unacknowledged bytes
-(``TCP_USER_TIMEOUT``), and while a command runs a link that shows no sign of life for `LINK_TIMEOUT` seconds is cut.
+Every phase of a connection has a time limit. The kernel closes a connection whose bytes stay unacknowledged
+(``TCP_USER_TIMEOUT``). While a command runs, a link without a sign of life for `LINK_TIMEOUT` seconds is cut.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ if TYPE_CHECKING:
 __all__ = ["ATTEMPTS", "CONNECT_TIMEOUT", "LINK_TIMEOUT", "Result", "Session", "connect", "offered_key"]
 
 CONNECT_TIMEOUT = 10.0
-"""Seconds for a TCP connection, and again for the banner with the key exchange, and for each authentication."""
+"""Seconds for the TCP connection, again for the banner and the key exchange, and again for each authentication."""
 
 LINK_TIMEOUT = 25.0
 """Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than the time that a lost link is retried."""
 
 ATTEMPTS = 6
-"""A burst of connections makes an sshd drop some before its banner (MaxStartups); those are tried again."""
+"""Attempts to connect: in a burst, an sshd drops some connections before its banner (MaxStartups)."""
 
 
 def connect(
@@ -81,10 +82,10 @@ def offered_key(
     link_timeout: float = LINK_TIMEOUT,
     config: Path | None = None,
 ) -> tuple[str, HostKey]:
-    """The name ``known_hosts`` files keep this robot under, and the key it offers now; nobody logs in to it.
+    """Return the robot's name in ``known_hosts`` files and the host key that it offers now, without logging in.
 
     Raises:
-        As for `connect`; the hosts on the way must be trusted and let us in.
+        As for `connect`; jump hosts must be trusted and let us in.
 
     """
     destination = openssh_config.resolve(robot, config=config)
@@ -97,7 +98,7 @@ def offered_key(
 
 
 class _Transport(paramiko.Transport):
-    """Paramiko's, with AES-GCM first: half the CPU of its default order, and as fast as OpenSSH's own client."""
+    """Paramiko's transport with AES-GCM first: half the CPU time of its default order, as fast as OpenSSH's client."""
 
     _preferred_ciphers = (
         "aes128-gcm@openssh.com",
@@ -115,27 +116,27 @@ class _Transport(paramiko.Transport):
         self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in usual), *usual)))
 
     def _log(self, level: int, msg: object, *args: object) -> None:
-        """Nothing: what matters is raised, and Paramiko prints tracebacks of what a robot does wrong."""
+        """Log nothing: errors are raised, and Paramiko would print tracebacks of a robot's protocol errors."""
 
     def begin(self, command: str) -> paramiko.Channel:
         try:
             channel = self.open_session()
             channel.exec_command(command)
         except (paramiko.SSHException, EOFError, OSError) as problem:
-            self.join(0.5)  # who sends may notice a lost link before the thread that listens
+            self.join(0.5)  # the sender may notice a lost link before the reading thread
             if self.is_active():
-                cure = "is it out of memory or processes? try again, or restart it"
-                raise NotReady(f"the robot's sshd starts no command: {problem}", cure=cure) from problem
+                cure = "the robot may be out of memory or processes: try again, or restart it"
+                raise NotReady(f"the robot's sshd cannot start a command: {problem}", cure=cure) from problem
             raise LinkLost("the connection was lost before the command started", cure=AGAIN) from problem
         return channel
 
     def close(self) -> None:
         super().close()
-        self.packetizer.complete_handshake()  # else its timer keeps Python from ending for up to 15 s
+        self.packetizer.complete_handshake()  # otherwise its timer delays the end of Python for up to 15 s
 
 
 class _Agent(AgentSSH):
-    """An ssh-agent at a socket of our choice: Paramiko's own knows SSH_AUTH_SOCK only. No agent, no keys."""
+    """An ssh-agent at any socket: Paramiko's own class knows only SSH_AUTH_SOCK. Without an agent it has no keys."""
 
     def __init__(self, path: str) -> None:
         super().__init__()
@@ -152,7 +153,7 @@ class _Agent(AgentSSH):
 
 
 class _Hops:
-    """The connections to a robot, each made through the one before; the last is the robot's."""
+    """The connections to the jump hosts and the robot, each made through the one before; the last is the robot's."""
 
     def __init__(self, recorded: Path, *, connect_timeout: float, link_timeout: float) -> None:
         self.chain: list[_Transport] = []
@@ -161,11 +162,11 @@ class _Hops:
         self._link_timeout = link_timeout
 
     def close(self) -> None:
-        """End them all."""
+        """Close all connections."""
         close(self.chain)
 
     def reach(self, stop: Destination) -> tuple[HostKey, KnownHosts]:
-        """Connect to an sshd. The host key it proved to own, and what is on record."""
+        """Connect to an sshd. Returns the host key that it proved to own, and the recorded keys."""
         known = known_hosts.read((self._recorded, *stop.known_hosts))
         for attempt in range(1, ATTEMPTS + 1):
             stream = self._stream(stop)
@@ -190,7 +191,7 @@ class _Hops:
         raise AssertionError("the last attempt returns or raises")
 
     def log_in(self, stop: Destination, *, jump: bool) -> None:
-        """Connect to an sshd, check its host key, prove who we are."""
+        """Connect to an sshd, check its host key, and log in with the first key that it accepts."""
         key, known = self.reach(stop)
         known_hosts.check(key, name=stop.known_as, known=known, jump=jump)
         refusals: list[str] = []
@@ -202,22 +203,25 @@ class _Hops:
         cure = f"ssh-copy-id {stop.login}"
         if not refusals:
             self._ask_what_it_takes(stop)
-            refusals, cure = ["there is no key in ~/.ssh and none in the agent"], f"ssh-keygen, then {cure}"
+            refusals, cure = (
+                ["there is no key in ~/.ssh and none in the ssh-agent"],
+                f"ssh-keygen, then {cure}",
+            )
         raise LoginRefused(f"{stop.host} does not let {stop.user} in: {', '.join(refusals)}", cure=cure)
 
     def _refusal(self, stop: Destination, label: str, load: Callable[[], paramiko.PKey]) -> str:
-        """Why this key does not let us in; empty if it did."""
+        """Try a key. Returns why it was not accepted, or nothing if it was."""
         transport, answered = self.chain[-1], threading.Event()
         try:
             transport.auth_publickey(stop.user, load(), answered)
-        except TypeError:  # how the cryptography library says that it wants a passphrase
+        except TypeError:  # the cryptography library raises this for a missing passphrase
             return f"{label} has a passphrase (`ssh-add {label}` unlocks it)"
         except Exception as problem:  # a key file may hold anything
             if not transport.is_active():
                 raise _lost(stop) from problem
             return f"{label} cannot be used ({str(problem).partition('. ')[0]})"
         if not answered.wait(self._connect_timeout):
-            raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN)
+            raise Unreachable(f"{stop.host} stopped answering during the login", cure=AGAIN)
         if transport.is_authenticated():
             return ""
         raised = transport.get_exception()
@@ -226,14 +230,17 @@ class _Hops:
         if isinstance(raised, PartialAuthentication):
             more = " and ".join(raised.allowed_types)
             raise LoginRefused(
-                f"{stop.host} takes {label}, and wants {more} as well", cure="let a key be enough"
+                f"{stop.host} accepts {label} but also requires {more}",
+                cure="allow login with a key alone (AuthenticationMethods in its sshd_config)",
             )
         if isinstance(raised, EOFError | OSError):
             raise _lost(stop) from raised
         if not transport.is_active():
             why = f" ({raised})" if raised else ""
-            what = f"{stop.host} ends the login of {stop.user} at {label}{why}"
-            raise LoginRefused(what, cure="if many keys were offered before, set identity_file")
+            what = f"{stop.host} ended the login of {stop.user} at {label}{why}"
+            raise LoginRefused(
+                what, cure="if many keys were offered before, set identity_file in the inventory"
+            )
         return f"{label} is refused"
 
     def _ask_what_it_takes(self, stop: Destination) -> None:
@@ -243,7 +250,7 @@ class _Hops:
             if "publickey" not in problem.allowed_types:
                 raise _takes_no_keys(stop, problem) from problem
         except (paramiko.SSHException, EOFError, OSError) as problem:
-            raise Unreachable(f"{stop.host} stops answering during the login", cure=AGAIN) from problem
+            raise Unreachable(f"{stop.host} stopped answering during the login", cure=AGAIN) from problem
 
     def _stream(self, stop: Destination) -> Stream:
         if not self.chain:
@@ -258,11 +265,14 @@ class _Hops:
         except (paramiko.SSHException, EOFError, OSError) as problem:
             reason = getattr(problem, "text", "") or problem
             what = f"{stop.host}:{stop.port} cannot be reached from the jump host: {reason}"
-            raise Unreachable(what, cure="is it on, and does the jump host allow forwarding?") from problem
+            raise Unreachable(
+                what,
+                cure="check that the robot is on, and that the jump host allows forwarding (AllowTcpForwarding)",
+            ) from problem
 
 
 def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], paramiko.PKey]]]:
-    """The keys to try, in OpenSSH's order: the agent's, those that are named first; then the files it does not hold."""
+    """Yield the keys to try, in OpenSSH's order: the agent's keys, configured ones first; then the other key files."""
     files = {key_files.public_half(path) or str(path).encode(): path for path in stop.identity_files}
     held = {key.asbytes(): key for key in agent.get_keys()}
     for blob in sorted(held, key=lambda blob: blob not in files):
@@ -278,18 +288,20 @@ def _same(key: paramiko.PKey) -> paramiko.PKey:
 
 
 def _was_dropped(stream: Stream, problem: BaseException) -> bool:
-    """Whether the other end hung up before it spoke SSH, and a ProxyCommand gave no reason of its own."""
-    return isinstance(problem.__context__, EOFError | OSError) and not getattr(stream, "said", "")
+    """Whether the other end closed the connection before the SSH banner, and a ProxyCommand printed no reason."""
+    return isinstance(problem.__context__, EOFError | OSError) and not getattr(stream, "last_error", "")
 
 
-def _lost(stop: Destination) -> Unreachable:  # an sshd that refuses says so before it hangs up
+def _lost(
+    stop: Destination,
+) -> Unreachable:  # an sshd that refuses a login says so before it closes the connection
     return Unreachable(f"the connection to {stop.host} was lost during the login", cure=AGAIN)
 
 
 def _takes_no_keys(stop: Destination, problem: paramiko.BadAuthenticationType) -> LoginRefused:
-    what = f"{stop.host} lets {stop.user} in by {' or '.join(problem.allowed_types)} only, and fleet logs in with keys"
+    what = f"{stop.host} accepts only {' or '.join(problem.allowed_types)} for {stop.user}, and fleet logs in with keys"
     return LoginRefused(
-        what, cure=f"allow keys (PubkeyAuthentication) in its sshd_config, then ssh-copy-id {stop.login}"
+        what, cure=f"allow keys (PubkeyAuthentication) in its sshd_config, then run ssh-copy-id {stop.login}"
     )
 
 
@@ -297,18 +309,21 @@ def _unreachable(
     stop: Destination, stream: Stream, transport: _Transport, problem: BaseException, *, silent: bool
 ) -> Unreachable:
     where = f"{stop.host}:{stop.port}"
-    if isinstance(stream, ProxySocket) and stream.said:
-        return Unreachable(f"the ProxyCommand to {where} fails: {stream.said}", cure="try `ssh` to it")
+    if isinstance(stream, ProxySocket) and stream.last_error:
+        return Unreachable(
+            f"the ProxyCommand to {where} failed: {stream.last_error}", cure="try to reach it with `ssh`"
+        )
     if transport.remote_version:
         what = (
-            "stops answering in the key exchange"
+            "stopped answering during the key exchange"
             if silent
-            else f"breaks off the key exchange: {problem or 'it hangs up'}"
+            else f"broke off the key exchange: {str(problem) or 'it closed the connection'}"
         )
-        return Unreachable(f"{where} {what}", cure="is the robot overloaded, or its OpenSSH very old?")
+        return Unreachable(f"{where} {what}", cure="the robot may be overloaded, or its OpenSSH very old")
     if silent:
         return Unreachable(
-            f"{where} accepts the connection and says nothing", cure="is the robot overloaded or frozen?"
+            f"{where} accepts the connection but sends no SSH banner",
+            cure="the robot may be overloaded or frozen: restart it",
         )
-    cure = "is that sshd's port? a busy sshd (MaxStartups) and one that blocks this address hang up like this too"
-    return Unreachable(f"{where} hangs up, or is not an SSH server: {problem}", cure=cure)
+    cure = "check the port; a busy sshd (MaxStartups), or one that blocks this address, does the same"
+    return Unreachable(f"{where} closed the connection, or is not an SSH server: {problem}", cure=cure)

@@ -1,4 +1,4 @@
-"""Which public key belongs to a private key file? So that a key held by an agent is found by the file's name."""
+"""Which public key belongs to a private key file? With it, an agent's key is matched to a file's name."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _MAGIC = b"openssh-key-v1\0"
 
 
 def public_half(path: Path) -> bytes:
-    """The public key as it goes over the wire; empty where it cannot be told without a passphrase.
+    """Return the public key in wire format, or nothing if it cannot be read without a passphrase.
 
-    It is in the ``.pub`` file beside it (or in ``path`` itself, which may be one), or inside: OpenSSH's own format
-    leaves it readable.
+    It is read from the ``.pub`` file beside ``path`` (or from ``path`` itself, if that is one), or from the private key:
+    OpenSSH's format keeps the public part readable.
     """
     beside = path if path.suffix == ".pub" else path.with_name(path.name + ".pub")
     with contextlib.suppress(OSError, ValueError, IndexError, struct.error):

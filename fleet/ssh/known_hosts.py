@@ -1,7 +1,7 @@
 """Which host keys do we trust? The ``known_hosts`` format of OpenSSH (sshd(8), "SSH_KNOWN_HOSTS FILE FORMAT").
 
 Paramiko's own loader raises on ``@cert-authority`` and ``@revoked`` lines and can rewrite the user's file; this reader
-knows the markers, hashed names, wildcards and negation, and only ever writes the project's own file.
+supports markers, hashed names, wildcards and negation, and writes only the project's own file.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PLAIN = re.compile(r"[^|*?!,]*").fullmatch
 
 @dataclass(frozen=True, kw_only=True)
 class HostKey:
-    """A public host key: its type (``ssh-ed25519``) and its bytes as they go over the wire."""
+    """A public host key: its type (``ssh-ed25519``) and its bytes in wire format."""
 
     kind: str
     blob: bytes
@@ -44,7 +44,7 @@ class HostKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """What one line says: a key, trusted or revoked, and ``where`` it is written (``file:line``)."""
+    """The content of one line: a key, trusted or revoked, and ``where`` it stands (``file:line``)."""
 
     key: HostKey
     revoked: bool
@@ -53,22 +53,22 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownHosts:
-    """The lines of several ``known_hosts`` files, the project's first, each with where it is written.
+    """The lines of several ``known_hosts`` files, the project's first, each with its place.
 
-    Lines are parsed when asked for a name: a file may have thousands, and every robot asks for one.
+    Lines are parsed only when a name is looked up: a file may have thousands, and each robot needs one.
     """
 
     lines: tuple[tuple[str, str], ...] = ()
 
-    def about(self, name: str) -> tuple[Entry, ...]:
-        """The entries that speak of ``name`` (``host``, or ``[host]:port``)."""
+    def entries(self, name: str) -> tuple[Entry, ...]:
+        """Return the entries for ``name`` (``host``, or ``[host]:port``)."""
         lowered = name.lower()
-        found = (_entry(text, name=lowered, where=where) for where, text in self.lines)
-        return tuple(entry for entry in found if entry)
+        entries = (_entry(text, name=lowered, where=where) for where, text in self.lines)
+        return tuple(entry for entry in entries if entry)
 
     def verdict(self, name: str, key: HostKey) -> Verdict:
-        """What these files say of ``key`` offered by ``name``."""
-        entries = self.about(name)
+        """Return whether these files trust ``key`` for ``name``."""
+        entries = self.entries(name)
         if any(entry.revoked and entry.key.blob == key.blob for entry in entries):
             return "revoked"
         trusted = [entry.key.blob for entry in entries if not entry.revoked]
@@ -77,19 +77,19 @@ class KnownHosts:
         return "changed" if trusted else "unknown"
 
     def algorithms(self, name: str) -> tuple[str, ...]:
-        """What to ask a host for first: with a key of another type than ours it looks like another host.
+        """Return the key types to ask a host for first: a key of a type that is not recorded looks like another host.
 
-        Files name RSA keys by their type, the protocol by how they sign (RFC 8332).
+        Files name RSA keys by their type, the protocol names them by their signature (RFC 8332).
         """
-        kinds = dict.fromkeys(entry.key.kind for entry in self.about(name) if not entry.revoked)
+        kinds = dict.fromkeys(entry.key.kind for entry in self.entries(name) if not entry.revoked)
         return tuple(name for kind in kinds for name in (_RSA if kind == "ssh-rsa" else (kind,)))
 
 
 def read(paths: Iterable[Path]) -> KnownHosts:
-    """Read files, those that do not exist left out.
+    """Read files; missing ones are left out.
 
     Raises:
-        InventoryError: a file is there and cannot be read.
+        InventoryError: a file exists but cannot be read.
 
     """
     lines: list[tuple[str, str]] = []
@@ -99,14 +99,14 @@ def read(paths: Iterable[Path]) -> KnownHosts:
         except (FileNotFoundError, NotADirectoryError):
             continue
         except OSError as problem:
-            cure = "make it a file that you can read"
+            cure = "make the file readable"
             raise InventoryError(f"cannot read {path}: {problem.strerror}", cure=cure) from problem
         lines += ((f"{path}:{number}", line) for number, line in enumerate(text.split("\n"), start=1))
     return KnownHosts(lines=tuple(lines))
 
 
 def record(path: Path, *, name: str, key: HostKey) -> None:
-    """Write one key into the project's file, in place of the keys it has for that very name.
+    """Write one key into the project's file; it replaces the file's other keys for this name.
 
     Raises:
         DesktopError: the file cannot be written.
@@ -122,20 +122,20 @@ def record(path: Path, *, name: str, key: HostKey) -> None:
             new.write_text("".join((*kept, line)), encoding="utf-8")
             new.replace(path)
     except OSError as problem:
-        cure = "the host key was not recorded; make the file writable"
+        cure = "make the file writable; the host key was not recorded"
         raise DesktopError(f"cannot write {path}: {problem.strerror}", cure=cure) from problem
 
 
 def host_name(host: str, port: int) -> str:
-    """The name under which ``known_hosts`` files keep a host: ``host``, or ``[host]:port`` off port 22."""
+    """Return a host's name in ``known_hosts`` files: ``host``, or ``[host]:port`` if the port is not 22."""
     return host if port == 22 else f"[{host}]:{port}"
 
 
 def check(key: HostKey, *, name: str, known: KnownHosts, jump: bool = False) -> None:
-    """Let a known key pass. ``jump`` says that it is not a robot's, but that of a host on the way.
+    """Accept a known key. ``jump``: the key belongs to a jump host, not to a robot.
 
     Raises:
-        UntrustedHostKey: the key is unknown, not the known one, or revoked.
+        UntrustedHostKey: the key is unknown, has changed, or is revoked.
 
     """
     match known.verdict(name, key):
@@ -143,21 +143,25 @@ def check(key: HostKey, *, name: str, known: KnownHosts, jump: bool = False) -> 
             return
         case "unknown":
             what = f"the host key of {name} is not known yet: it offers {key.kind} {key.fingerprint}"
-            cure = "`ssh` to that jump host once" if jump else "`fab trust` shows it and records it"
+            cure = (
+                "connect to that jump host once with `ssh`"
+                if jump
+                else "`fab trust` shows the key and records it"
+            )
         case "changed":
-            on_record = ", ".join(entry.where for entry in known.about(name) if not entry.revoked)
+            on_record = ", ".join(entry.where for entry in known.entries(name) if not entry.revoked)
             what = f"the host key of {name} CHANGED: it offers {key.kind} {key.fingerprint}, not what {on_record} says"
             again = f"`ssh-keygen -R '{name}'` and `ssh` to it once" if jump else "`fab trust --changed`"
-            cure = f"if it was set up again, {again}; if not, this may be another machine"
+            cure = f"if it was reinstalled, {again}; if not, another machine may be answering"
         case "revoked":
             what = f"the host key of {name} is revoked: {key.fingerprint}"
-            cure = "give it a new host key (`ssh-keygen -A` after removing the old one)"
+            cure = "remove the old host key on it, and make a new one with `ssh-keygen -A`"
     raise UntrustedHostKey(what, cure=cure)
 
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """One writer at a time: two ``fab trust`` would lose each other's keys."""
+    """Allow one writer at a time: two ``fab trust`` would overwrite each other's keys."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -167,15 +171,15 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _entry(line: str, *, name: str, where: str) -> Entry | None:
-    """Read one line; nothing, if it is no entry or one of another host. OpenSSH too passes over what it cannot read."""
+    """Read one line. Returns nothing for another host, or for a line that is not valid: OpenSSH ignores those too."""
     if line.lstrip().startswith("#"):  # a comment; after a marker, `#` is a letter of a name
         return None
     fields = line.split(maxsplit=4)
     marker = fields.pop(0) if fields and fields[0].startswith("@") else ""
-    # Certificate authorities are passed over: Paramiko cannot check host certificates.
+    # Certificate authorities are ignored: Paramiko cannot check host certificates.
     if len(fields) < 3 or marker not in ("", "@revoked"):
         return None
-    if not _speaks_of(fields[0], name):
+    if not _names_match(fields[0], name):
         return None
     try:
         blob = base64.b64decode(fields[2], validate=True)
@@ -184,8 +188,8 @@ def _entry(line: str, *, name: str, where: str) -> Entry | None:
     return Entry(key=HostKey(kind=fields[1], blob=blob), revoked=bool(marker), where=where)
 
 
-def _speaks_of(names: str, name: str) -> bool:
-    """Whether the first field of a line is about ``name``: one hash, or patterns of which negated ones win."""
+def _names_match(names: str, name: str) -> bool:
+    """Whether the first field of a line matches ``name``: a hash, or patterns, where a negated pattern wins."""
     if _PLAIN(names):
         return names.lower() == name
     if names.startswith("|"):
@@ -197,7 +201,7 @@ def _speaks_of(names: str, name: str) -> bool:
 
 
 def _glob_matches(pattern: str, name: str) -> bool:
-    """Wildcards of ``known_hosts``: ``*`` and ``?`` only; brackets are those of ``[host]:port``."""
+    """Match a pattern with ``*`` and ``?``; brackets are literal, as in ``[host]:port``."""
     if "*" not in pattern and "?" not in pattern:
         return pattern == name
     regex = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
@@ -205,7 +209,7 @@ def _glob_matches(pattern: str, name: str) -> bool:
 
 
 def _hash_matches(hashed: str, name: str) -> bool:
-    """HMAC-SHA1 of the name under the salt, as ``ssh-keygen -H`` writes it: ``|1|salt|hash``."""
+    """Compare with a hash that ``ssh-keygen -H`` wrote: ``|1|salt|hash``, HMAC-SHA1 of the name."""
     try:
         salt, digest = (
             base64.b64decode(part, validate=True) for part in hashed.removeprefix("|1|").split("|")

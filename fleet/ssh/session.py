@@ -1,4 +1,4 @@
-"""How does a person's argv run on a robot, within its time, over a connection that is there?"""
+"""How does a command run on a robot, within its time limit, over an open connection?"""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 
 
 class ClosableChannel(Channel, Protocol):
-    """A channel that can be given back."""
+    """A channel that can be closed."""
 
     def close(self) -> None:
-        """Give it back; whatever it has not delivered is lost."""
+        """Close it; output that was not read is lost."""
 
 
 class Connection(Transport, Protocol):
     """A transport that starts commands."""
 
     def begin(self, command: str) -> ClosableChannel:
-        """Start a line of shell. Raises `LinkLost`, or `NotReady` where the robot does not."""
+        """Start a shell command. Raises `LinkLost`, or `NotReady` if the robot refuses."""
 
     def close(self) -> None:
-        """End it, at once, whatever runs on it."""
+        """Close it at once, even while a command runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """How a command ended: its exit code (-1: by a signal), and what it wrote (undecodable bytes replaced)."""
+    """A command's exit code (-1 for a signal) and its output, with undecodable bytes replaced."""
 
     code: int
     output: str
@@ -64,7 +64,7 @@ class Session:
         self.close()
 
     def close(self) -> None:
-        """End the connection; a command that runs on it ends with `LinkLost`."""
+        """Close the connection; a command that runs on it raises `LinkLost`."""
         close(self._chain)
 
     def run(
@@ -78,18 +78,18 @@ class Session:
     ) -> Result:
         """Run a command and wait for its end.
 
-        ``feed`` becomes its standard input; ``None`` leaves that open until the connection closes, with
-        a byte now and then as a sign of life (`fleet.ssh.channel.BEAT`). ``limit``
-        is in seconds, and kept on the robot by ``timeout``, so that nothing runs on there. ``on_sent`` is told the bytes
-        of each piece that left; ``on_output`` is given standard output as it comes, which then is not kept.
+        ``feed`` becomes its standard input. ``None`` leaves the input open until the connection closes, with a byte every
+        `fleet.ssh.channel.BEAT` seconds as a sign of life. ``limit`` is in seconds; ``timeout`` enforces it on the robot,
+        so that no command runs on there. ``on_sent`` gets the number of bytes of each piece that was sent. ``on_output``
+        gets standard output as it arrives; the result then does not have it.
 
-        A feed that fails ends the connection. For the command that is the end of its input, as it is when the link is
-        cut: what must arrive whole has to be proven whole.
+        If the feed fails, the connection is closed. The command then sees the end of its input, as after a lost link, so
+        it must check that its input is complete.
 
         Raises:
-            LinkLost: the connection ended or fell silent.
+            LinkLost: the connection was lost, or the robot fell silent.
             TimedOut: ``limit`` passed.
-            NotReady: the robot starts no command.
+            NotReady: the robot cannot start a command.
             Whatever ``feed``, ``on_sent`` or ``on_output`` raise; the connection is closed then.
 
         """
@@ -102,14 +102,14 @@ class Session:
             except BaseException:
                 self.close()
                 raise
-        # 124 is timeout's, the others say that it killed. A command may end with them early, on its own account.
+        # `timeout` exits with 124, or with the others after it killed. A command may return these codes early by itself.
         if limit is not None and time.monotonic() - started >= limit and code in (124, 137, 143, -1):
-            what = f"`{argv[0]}` took longer than {limit:g} s and was ended on the robot"
-            raise TimedOut(what, cure="is the robot overloaded?")
+            what = f"`{argv[0]}` took longer than {limit:g} s and was stopped on the robot"
+            raise TimedOut(what, cure="check whether the robot is overloaded")
         return Result(code=code, output=pump.output, errors=pump.errors)
 
     def _start(self, command: str) -> ClosableChannel:
-        # Paramiko waits without end for the answer of an sshd that is there and does nothing.
+        # Paramiko would wait forever for an sshd that is frozen.
         watchdog = threading.Timer(self._link_timeout, self.close)
         watchdog.daemon = True
         watchdog.start()
@@ -120,7 +120,7 @@ class Session:
 
 
 def close(chain: Iterable[Connection]) -> None:
-    """End connections, each made through the one before."""
-    # The first holds the socket: were it the last, the others' farewells would wait for a dead link.
+    """Close connections, each made through the one before."""
+    # The first holds the socket. If it were closed last, closing the others would wait for a dead link.
     for transport in chain:
         transport.close()

@@ -1,1 +1,1 @@
-"""Which bytes a robot lacks, and how they get there."""
+"""Which bytes are missing on a robot, and how they get there."""

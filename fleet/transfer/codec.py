@@ -1,10 +1,10 @@
-"""How are bytes packed for a robot? The only place that knows zstd.
+"""Pack and unpack bytes for robots: the only module that uses zstd.
 
-From Python 3.14 on zstd is in the library; before, backports.zstd is the same module under another name.
+From Python 3.14 on zstd is in the standard library; for older versions backports.zstd is the same module.
 
-The packed bytes depend on the bytes alone, not on the pieces they come in or on how many processors there are: a
-transfer that one desktop began is gone on with by another, which packs the layer once more. Only another version of zstd
-may pack differently; the digest then differs too, and the layer is sent from its first byte.
+The packed bytes depend only on the input, not on how it was split or on the number of processors. So a transfer that one
+desktop began can resume from another desktop, which packs the same layer again. Only another version of zstd may pack
+differently; then the digest differs too, and the layer is sent from its first byte.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 Encoding = Literal["zstd-long", "zstd", "gzip"]
-"""``zstd-long`` finds repetitions 64 MiB apart, and who unpacks it needs several times as much memory; ``zstd`` finds them
-8 MiB apart."""
+"""``zstd-long`` finds repetitions 64 MiB apart, and unpacking needs several times as much memory; ``zstd`` finds them 8 MiB
+apart."""
 
 ENCODINGS: tuple[Encoding, ...] = ("zstd-long", "zstd", "gzip")
 
 LEVEL = 6
-"""Of zstd, for layers, whatever the link: a layer that one desktop has packed has the same digest on another one.
+"""The zstd level for layers. It does not depend on the link, so that every desktop packs a layer to the same digest.
 
-Level 3 would be twice as quick and a little larger, 9 a little smaller, with much more memory.
+Level 3 would be twice as fast and pack a little larger; 9 a little smaller, with much more memory.
 """
 
 PATCH_LEVEL = 3
-"""Of zstd, for patches, which are nearly as small then, and made while somebody waits."""
+"""The zstd level for patches: they are nearly as small as with a higher one, and the user waits while they are made."""
 
 SHORTEST_REFERENCE = 8
-"""Bytes; zstd takes nothing shorter for a dictionary."""
+"""Bytes; zstd refuses a shorter dictionary."""
 
 TRAINED = b"\x37\xa4\x30\xec"
-"""How a trained dictionary begins (RFC 8878, section 6), which a reference must not."""
+"""The first bytes of a trained dictionary (RFC 8878, section 6); a reference must not begin with them."""
 
 DAMAGED = (zlib.error, zstd.ZstdError)
-"""What is raised of packed bytes that are not right."""
+"""The exceptions for damaged packed bytes."""
 
 _WINDOW_LOG: Mapping[Encoding, int] = {"zstd-long": 26, "zstd": 23}
-_LARGEST_WINDOW_LOG = 27  # 128 MiB: the most that `zstd -d` accepts without being told to
-_WORKERS = 2  # any number above none gives the same bytes; none at all gives others
-_GZIP = 31  # zlib's word for the largest window in a gzip container; its header carries no time
+_LARGEST_WINDOW_LOG = 27  # 128 MiB: the most that `zstd -d` accepts without --memory
+_WORKERS = 2  # any number above 0 gives the same bytes; 0 gives others
+_GZIP = 31  # zlib's number for the largest window in a gzip container; its header has no time stamp
 _BLOCK = 1 << 20  # bytes
 _GZIP_MAGIC, _ZSTD_MAGIC = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 
@@ -78,9 +78,9 @@ class Compressor:
         self._held = bytearray()
 
     def compress(self, data: bytes) -> bytes:
-        """Take more bytes; return what is packed of all so far, which may be nothing yet.
+        """Add bytes; return the packed bytes that are complete, which may be none yet.
 
-        The engine always gets whole blocks: then it cannot tell which pieces they came in.
+        The engine always gets whole blocks, so that its output does not depend on how the input was split.
         """
         self._held += data
         whole = len(self._held) - len(self._held) % _BLOCK
@@ -92,7 +92,7 @@ class Compressor:
         return packed
 
     def flush(self) -> bytes:
-        """Return the rest. Nothing can be packed after it."""
+        """Return the remaining packed bytes; the compressor cannot be used afterwards."""
         rest = self._engine.compress(bytes(self._held)) + self._engine.flush()
         self._held.clear()
         return rest
@@ -113,12 +113,15 @@ def _engine(encoding: Encoding, level: int) -> _Engine:
 
 
 def is_packed(first: bytes) -> bool:
-    """Whether bytes that begin so are packed, with gzip (RFC 1952) or zstd (RFC 8878)."""
+    """Whether a stream that begins with ``first`` is packed with gzip (RFC 1952) or zstd (RFC 8878)."""
     return first.startswith((_GZIP_MAGIC, _ZSTD_MAGIC))
 
 
 def inflater(first: bytes) -> Callable[[bytes], bytes]:
-    """What unpacks a stream that begins so, piece by piece; plain bytes stay as they are. Raises `DAMAGED`."""
+    """A function that unpacks a stream that begins with ``first``, chunk by chunk; plain bytes stay as they are.
+
+    The function raises `DAMAGED`.
+    """
     if first.startswith(_GZIP_MAGIC):
         return _Inflater(lambda: zlib.decompressobj(_GZIP))
     if first.startswith(_ZSTD_MAGIC):
@@ -131,7 +134,7 @@ def inflater(first: bytes) -> Callable[[bytes], bytes]:
 
 
 class _Inflater:
-    """Unpacks what may be several streams, one after the other: some builders pack each file of a layer for itself."""
+    """Unpack one stream or several in a row: some image builders pack each file of a layer separately."""
 
     def __init__(self, make: Callable[[], _Unpacker]) -> None:
         self._make = make
@@ -148,13 +151,13 @@ class _Inflater:
 
 
 def packed_against(reference: bytes, data: bytes, *, level: int = PATCH_LEVEL) -> bytes:
-    """Pack ``data`` into a frame that says only what ``reference`` does not: ``zstd -d -D REFERENCE`` undoes it.
+    """Pack the difference between ``data`` and ``reference`` into a zstd frame; ``zstd -d -D REFERENCE`` unpacks it.
 
-    The frame carries a checksum, so that another reference is noticed. Who unpacks it needs memory for both.
+    The frame has a checksum, so that a wrong reference is detected. Unpacking needs memory for both.
 
     Raises:
-        ValueError: the reference is shorter than `SHORTEST_REFERENCE`, and not empty, or begins as a trained
-            dictionary does: zstd would take it for one.
+        ValueError: the reference is not empty and shorter than `SHORTEST_REFERENCE`, or begins like a trained dictionary,
+            which zstd would take it for.
 
     """
     if reference and (len(reference) < SHORTEST_REFERENCE or reference.startswith(TRAINED)):
@@ -172,5 +175,5 @@ def packed_against(reference: bytes, data: bytes, *, level: int = PATCH_LEVEL) -
         },
         zstd_dict=zstd.ZstdDict(reference, is_raw=True).as_prefix if reference else None,
     )
-    # All at once: then the frame tells its size, and the robot's window is no larger than that.
+    # In one call: then the frame states its size, and the robot's window is no larger than that.
     return compressor.compress(data, mode=zstd.ZstdCompressor.FLUSH_FRAME)

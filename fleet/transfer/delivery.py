@@ -1,8 +1,8 @@
-"""Which steps bring images to a robot, and what will that take? Pure: from what is wanted and what is there to steps.
+"""Which steps bring images to a robot, and how many bytes and seconds do they need? Pure: from images and facts to steps.
 
-There are four ways, each the fallback of the one before: patches where they are quicker than the layers that are missing,
-these layers, all layers, and the plain archive of ``docker save``. All but the last are gathered in the robot's spool and
-go on after a cut; the last needs nothing of the robot.
+There are four strategies, each the fallback of the one before: patches where they are faster than uploading the missing
+layers, the missing layers, all layers, and the plain archive of ``docker save``. The first three collect their uploads in
+the robot's spool and resume after a lost connection; the last one needs nothing of the robot but Docker.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from fleet.errors import NotReady
 from fleet.images.identity import IDENTITY
 from fleet.images.layer import Blob
+from fleet.plan.delivery import Delivery
 from fleet.plan.step import ImageArchive, Step, Upload, UploadBatch
 from fleet.transfer import load_archive, rebuild_command, receive
 from fleet.transfer.missing import MissingLayers, missing_layers
@@ -26,30 +27,29 @@ if TYPE_CHECKING:
     from fleet.transfer.load_archive import ArchiveSkeleton, TargetImage
     from fleet.transfer.rebuild_command import RebuiltLayer
     from fleet.transfer.receive import TransferRun
-from fleet.plan.delivery import Delivery
 
 Strategy = Literal["patches", "missing layers", "all layers", "plain stream"]
 STRATEGIES: tuple[Strategy, ...] = ("patches", "missing layers", "all layers", "plain stream")
 
 LONG_WINDOW = 1_200_000_000
-"""Bytes of memory a robot has that gets layers packed with a long window: dockerd keeps it several times while it unpacks."""
+"""Bytes of memory that a robot needs for layers packed with a long window: dockerd holds the window several times."""
 
 UNKNOWN_RATE = 2_500_000
-"""Bytes per second that a link is taken for as long as nobody has measured it: a fair Wi-Fi."""
+"""Bytes per second that are assumed for a link that was never measured: a fair Wi-Fi."""
 
-MAKING = 2.0
-"""Seconds a robot needs for making a layer beside those that depend on its size: it starts programs, and looks at files."""
+REBUILD_OVERHEAD = 2.0
+"""Seconds that rebuilding a layer takes whatever its size: programs start, and files are looked up."""
 
-MADE_PER_SECOND = 15_000_000
-"""Bytes of a layer that a robot makes in a second, both times: once to check, once for Docker. A Pi 4's card reads 40 MB."""
+REBUILD_RATE = 15_000_000
+"""Bytes of a layer per second, for both passes of a rebuild: one to check it, one for Docker. A Pi 4's card reads 40 MB/s."""
 
 SLACK = 1.05
-"""File systems and stores add a little to what they hold."""
+"""File systems and image stores need a little more than the size of the files."""
 
 
-def lack(images: Sequence[Image], facts: Facts, *, way: Strategy) -> MissingLayers:
-    """What must be sent of some images; ``all layers`` believes nothing of what seems to be there."""
-    believed = way in ("patches", "missing layers")
+def missing(images: Sequence[Image], facts: Facts, *, strategy: Strategy) -> MissingLayers:
+    """The layers that the robot needs; ``all layers`` ignores what the robot seems to have."""
+    believed = strategy in ("patches", "missing layers")
     return missing_layers(
         [image.layers for image in images],
         chains=facts.fleet.image_store.chains if believed else (),
@@ -59,51 +59,52 @@ def lack(images: Sequence[Image], facts: Facts, *, way: Strategy) -> MissingLaye
 
 
 def encoding(facts: Facts) -> Literal["zstd-long", "zstd", "gzip"]:
-    """How layers are packed for a robot: Docker reads zstd from version 23 on."""
+    """The encoding of layers for a robot. Docker reads zstd from version 23 on."""
     major = facts.docker.version.partition(".")[0]
     if not (major.isdecimal() and int(major) >= 23):
         return "gzip"
     return "zstd" if 0 < facts.host.memory < LONG_WINDOW else "zstd-long"
 
 
-def pieces(
+def layers(
     images: Sequence[tuple[Image, TargetImage]],
     *,
-    lack: MissingLayers,
+    missing: MissingLayers,
     packed: Mapping[str, Blob],
-    made: Mapping[str, RebuiltLayer],
+    rebuilt: Mapping[str, RebuiltLayer],
     facts: Facts,
-    shipment: TransferRun,
+    run: TransferRun,
 ) -> Delivery:
-    """Send the layers that a robot lacks, or have it make those that are in ``made``.
+    """Upload the missing layers, and let the robot rebuild those in ``rebuilt``.
 
-    ``packed`` are the layers as they are sent.
+    ``packed`` has the layers as they are uploaded; both are by diff ID.
 
     Raises:
-        NotReady: the robot's disk would not hold them.
+        NotReady: the robot's disk is too small for them.
 
     """
-    blobs = {**packed, **{one: Blob.plain(one, layer.size) for one, layer in made.items()}}
-    members = tuple({blobs[one].digest: blobs[one] for one in lack.send}.values())
-    frame = load_archive.frame([wanted for _, wanted in images], blobs={**lack.there, **blobs}, sent=members)
-    label = f"{len(members)} of {lack.layers} layers"
-    parcel = UploadBatch(label=label, to=shipment.to, pieces=_parts(frame, members, made, facts))
-    after = _room(members, parcel, facts)
-    making = f", {_makes(made)}" if made else ""
+    blobs = {**packed, **{diff_id: Blob.plain(diff_id, layer.size) for diff_id, layer in rebuilt.items()}}
+    members = tuple({blobs[diff_id].digest: blobs[diff_id] for diff_id in missing.send}.values())
+    targets = [target for _, target in images]
+    skeleton = load_archive.skeleton(targets, blobs={**missing.there, **blobs}, sent=members)
+    label = f"{len(members)} of {missing.layers} layers"
+    batch = UploadBatch(label=label, to=run.to, pieces=_uploads(skeleton, members, rebuilt, facts))
+    after = _check_disk(members, batch, facts)
+    rebuilding = f", {_rebuild_summary(rebuilt)}" if rebuilt else ""
     return Delivery(
         steps=(
-            receive.step(parcel, frame, members, made, title=f"send {label}{making}", shipment=shipment),
+            receive.step(batch, skeleton, members, rebuilt, title=f"send {label}{rebuilding}", run=run),
             *(_prove(image) for image, _ in images),
         ),
         forecast="; ".join(
-            (f"lacks {label}, {_takes(parcel, shipment.rate)}{making}", _disk(facts.disk.free, after))
+            (f"lacks {label}, {_cost(batch, run.rate)}{rebuilding}", _disk(facts.disk.free, after))
         ),
-        transfer=f"{label}{making}",
+        transfer=f"{label}{rebuilding}",
     )
 
 
-def may_make(facts: Facts) -> bool:
-    """Whether a robot can make a layer of another one: only root may read Docker's."""
+def can_rebuild(facts: Facts) -> bool:
+    """Whether the robot can make a layer from one that it has: that takes root, who may read Docker's files."""
     return (
         facts.fleet.image_store.python
         and facts.fleet.image_store.zstd
@@ -111,45 +112,43 @@ def may_make(facts: Facts) -> bool:
     )
 
 
-def saves(packed: Blob, *, patch: int, rate: float | None) -> bool:
-    """Whether a layer is there sooner when the robot makes it with a patch of so many bytes than when it is sent."""
-    sooner = (packed.size - patch) / (rate or UNKNOWN_RATE)
-    return sooner > MAKING + packed.unpacked / MADE_PER_SECOND
+def rebuilding_is_faster(packed: Blob, *, patch: int, rate: float | None) -> bool:
+    """Whether rebuilding the layer on the robot is faster than uploading it. ``patch`` is in bytes."""
+    saved = (packed.size - patch) / (rate or UNKNOWN_RATE)
+    return saved > REBUILD_OVERHEAD + packed.unpacked / REBUILD_RATE
 
 
-def _parts(
-    frame: ArchiveSkeleton, members: Sequence[Blob], made: Mapping[str, RebuiltLayer], facts: Facts
+def _uploads(
+    skeleton: ArchiveSkeleton, members: Sequence[Blob], rebuilt: Mapping[str, RebuiltLayer], facts: Facts
 ) -> tuple[Upload, ...]:
-    """The frame, the layers that are sent, and what others are made with."""
-    parts = [Upload(digest=frame.hex, size=len(frame.data), data=frame.data)]
-    if made:
+    """The skeleton, the layers that are uploaded, and the program and patches for those that are rebuilt."""
+    uploads = [Upload(digest=skeleton.hex, size=len(skeleton.data), data=skeleton.data)]
+    if rebuilt:
         program = rebuild_command.program()
-        parts.append(Upload(digest=rebuild_command.program_digest(), size=len(program), data=program))
+        uploads.append(Upload(digest=rebuild_command.program_digest(), size=len(program), data=program))
     for blob in members:
-        if blob.diff_id not in made:
-            parts.append(Upload(digest=blob.hex, size=blob.size))
-        elif patch := made[blob.diff_id].patch:
-            parts.append(patch)
-    return tuple(
-        replace(part, there=min(facts.fleet.image_store.spool.get(part.digest, 0), part.size))
-        for part in parts
-    )
+        if blob.diff_id not in rebuilt:
+            uploads.append(Upload(digest=blob.hex, size=blob.size))
+        elif patch := rebuilt[blob.diff_id].patch:
+            uploads.append(patch)
+    spool = facts.fleet.image_store.spool
+    return tuple(replace(each, there=min(spool.get(each.digest, 0), each.size)) for each in uploads)
 
 
-def _makes(made: Mapping[str, RebuiltLayer]) -> str:
-    patched = sum(layer.patch is not None for layer in made.values())
-    copied = len(made) - patched
-    ways = (f"{patched} of them as patches" * (patched > 0), f"{copied} copied there" * (copied > 0))
-    return " and ".join(filter(None, ways))
+def _rebuild_summary(rebuilt: Mapping[str, RebuiltLayer]) -> str:
+    patched = sum(layer.patch is not None for layer in rebuilt.values())
+    copied = len(rebuilt) - patched
+    parts = (f"{patched} of them as patches" * (patched > 0), f"{copied} copied there" * (copied > 0))
+    return " and ".join(filter(None, parts))
 
 
-def _takes(parcel: UploadBatch, rate: float | None) -> str:
-    """Bytes and seconds of a parcel, in words."""
-    came = sum(piece.there for piece in parcel.pieces)
-    earlier = f" ({human_bytes(came)} came earlier)" if came else ""
-    seconds = parcel.size / rate if rate else 0
+def _cost(batch: UploadBatch, rate: float | None) -> str:
+    """Bytes and seconds of a batch, in words."""
+    arrived = sum(upload.there for upload in batch.pieces)
+    earlier = f" ({human_bytes(arrived)} sent earlier)" if arrived else ""
+    seconds = batch.size / rate if rate else 0
     at = f", about {human_seconds(seconds)} at {human_bytes(rate)}/s" if rate and seconds >= 1 else ""
-    return f"{human_bytes(parcel.size)} packed{earlier}{at}"
+    return f"{human_bytes(batch.size)} packed{earlier}{at}"
 
 
 def _disk(free: float, after: float) -> str:
@@ -157,10 +156,10 @@ def _disk(free: float, after: float) -> str:
 
 
 def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
-    """Send whole images as ``docker save`` writes them, into ``docker load``: what always works.
+    """Send whole images from ``docker save`` to ``docker load``: the strategy that always works.
 
     Raises:
-        NotReady: the robot's disk would not hold them.
+        NotReady: the robot's disk is too small for them.
 
     """
     size = sum(image.size for image in images)
@@ -171,15 +170,15 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
     )
 
 
-def _room(sent: Sequence[Blob], parcel: UploadBatch, facts: Facts) -> float:
-    """Refuse what does not fit; the bytes that will be free afterwards.
+def _check_disk(sent: Sequence[Blob], batch: UploadBatch, facts: Facts) -> float:
+    """Check that the layers fit on the disk; return the bytes that will be free afterwards.
 
-    At the peak the spool and Docker's own copy of the archive are there, packed, and the layers, unpacked. A containerd
-    store keeps the packed ones.
+    At the peak the disk holds the packed layers twice (spool, Docker's copy of the archive) and the unpacked ones. A
+    containerd store keeps the packed layers.
     """
     packed = sum(blob.size for blob in sent)
     unpacked = SLACK * sum(blob.unpacked for blob in sent)
-    _refuse(parcel.size + packed + unpacked, facts)
+    _refuse(batch.size + packed + unpacked, facts)
     return facts.disk.free - unpacked - (packed if facts.docker.containerd else 0)
 
 
@@ -187,7 +186,7 @@ def _refuse(needed: float, facts: Facts) -> None:
     if needed > facts.disk.free:
         raise NotReady(
             f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk.free)}",
-            cure="`fab prune` removes old releases; `docker system df` there shows what Docker uses",
+            cure="`fab prune` removes old releases; `docker system df` on the robot shows what Docker uses",
         )
 
 
@@ -203,9 +202,9 @@ def _load(image: Image) -> Step:
 
 
 def _prove(image: Image) -> Step:
-    """`docker load` is not believed: a containerd store says ``Loaded image`` of a broken one."""
+    """Prove an image by its ID: a containerd store prints ``Loaded image`` even for a broken one."""
     return Step(
-        title="prove that what arrived is what was sent",
+        title="prove that the image arrived unchanged",
         argv=("docker", "image", "inspect", "--format", IDENTITY, image.shipped_as),
         expect=image.identity,
         harmless=True,

@@ -1,7 +1,7 @@
-"""Which layers has this computer packed for sending, and how are others got out of its Docker?
+"""Pack layers out of this computer's Docker, and keep them for the next robot.
 
-Files in ``~/.cache/fleet/layers``: a layer's packed bytes under their own digest, and beside them, under the layer's diff ID,
-a line that tells of them. They are made once, whoever needs them, and may be removed at any time.
+The cache is ``~/.cache/fleet/layers``. A file named by its digest has a layer's packed bytes; a note named by the layer's
+diff ID describes them. Each layer is packed once; the files may be removed at any time.
 """
 
 from __future__ import annotations
@@ -36,61 +36,63 @@ MOST = 20_000_000_000
 
 _CHUNK = 1 << 20
 _SMALL = 4_000_000
-"""An image's configuration is smaller."""
+"""Bytes; the configuration of an image is smaller."""
 
 
 def folder() -> Path:
-    """The cache's directory; ``XDG_CACHE_HOME`` moves it."""
+    """The directory of the cache; the variable ``XDG_CACHE_HOME`` changes it."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "layers"
 
 
 class LayerCache:
-    """Packed layers. ``export`` gives an image's archive as ``docker save`` writes it, in pieces."""
+    """The packed layers. ``export`` yields the chunks of an image's archive as ``docker save`` writes it."""
 
     def __init__(self, *, directory: Path, export: Export) -> None:
         self._directory = directory
         self._export = export
-        self._turn = threading.Lock()  # the engine's archive is made once, whoever needs it
+        self._lock = threading.Lock()  # an image is exported once, although many robots need it
         self._names: dict[str, str] = {}
 
     def pack(self, image: Image, diff_ids: Iterable[str], encoding: Encoding) -> dict[str, Blob]:
-        """The layers ``diff_ids`` of an image, packed: from the cache, or else out of the engine.
+        """The layers ``diff_ids`` of an image, packed: from the cache, or else from Docker.
 
         Raises:
-            DesktopError: the engine fails, its archive lacks a layer, or there is no room for it.
+            DesktopError: Docker fails, its archive misses a layer, or the disk is full.
 
         """
         wanted = tuple(diff_ids)
-        with self._turn, _explained():
-            known = {one: self._known(one, encoding) for one in wanted}
-            missing = {one for one, blob in known.items() if blob is None}
+        with self._lock, _explained():
+            known = {diff_id: self._known(diff_id, encoding) for diff_id in wanted}
+            missing = {diff_id for diff_id, blob in known.items() if blob is None}
             if missing:
                 self._unpack(image, missing, encoding)
-            found = {one: blob or self._known(one, encoding) for one, blob in known.items()}
-        blobs = {one: blob for one, blob in found.items() if blob}
-        if len(blobs) < len(found):
-            raise DesktopError(f"the archive of {image.reference} lacks layers", cure="run `fab build` again")
+            known = {diff_id: blob or self._known(diff_id, encoding) for diff_id, blob in known.items()}
+        blobs = {diff_id: blob for diff_id, blob in known.items() if blob}
+        if len(blobs) < len(known):
+            raise DesktopError(
+                f"layers are missing in the archive of {image.reference}", cure="run `fab build` again"
+            )
         return blobs
 
     def config(self, image: Image) -> bytes:
-        """An image's configuration, byte for byte: its digest is the image's identity. Raises as `pack`."""
+        """The configuration of an image, byte for byte: its digest is the image's identity. Raises like `pack`."""
         path = self._directory / f"{image.fingerprint}.config"
-        with self._turn, _explained():
+        with self._lock, _explained():
             if not path.exists():
                 self._unpack(image, set(), None)
             os.utime(path)
             return path.read_bytes()
 
     def open(self, digest: str) -> IO[bytes]:
-        """The packed bytes of that digest (hex). Raises ``DesktopError`` where somebody has removed them."""
+        """Open the packed bytes of a digest (hex). Raises ``DesktopError`` if they were removed."""
         try:
             return (self._directory / digest).open("rb")
         except OSError as problem:
-            what = f"a packed layer is gone from {self._directory}: {problem.strerror}"
+            what = f"a packed layer was removed from {self._directory}: {problem.strerror}"
             raise DesktopError(what, cure="run the same command again") from problem
 
     def tidy(self, *, most: int = MOST) -> None:
-        """Remove what was not used for longest, until at most so many bytes are left."""
+        """Remove the least recently used files until at most ``most`` bytes are left."""
         with contextlib.suppress(OSError):
             files = sorted(
                 (path.stat().st_mtime, path.stat().st_size, path) for path in self._directory.iterdir()
@@ -103,18 +105,18 @@ class LayerCache:
 
     @contextlib.contextmanager
     def unpacked(self, diff_id: str) -> Generator[IO[bytes] | None]:
-        """The tar of a layer that was packed here, as a file that goes away; None where it was not, or is gone."""
+        """The tar of a layer as a temporary file; None if the layer is not in the cache."""
         packed = next(filter(None, (self._known(diff_id, encoding) for encoding in ENCODINGS)), None)
         with _explained(), contextlib.ExitStack() as stack:
-            whole = None
+            plain = None
             if packed:
                 content = stack.enter_context(self.open(packed.hex))
-                whole = stack.enter_context(tempfile.TemporaryFile(dir=self._directory))
-                whole.writelines(_inflated(content.read(_CHUNK), content))
-            yield whole
+                plain = stack.enter_context(tempfile.TemporaryFile(dir=self._directory))
+                plain.writelines(_inflated(content.read(_CHUNK), content))
+            yield plain
 
     def keep(self, write: Callable[[IO[bytes]], object]) -> tuple[str, int]:
-        """Keep what ``write`` writes into a file, under its digest; that (hex) and its size in bytes."""
+        """Keep a file that ``write`` fills; return its digest (hex), which is its name, and its size in bytes."""
         handle, part = tempfile.mkstemp(dir=self._directory, prefix=".part-")
         with _explained():
             try:
@@ -128,16 +130,16 @@ class LayerCache:
         return digest, size
 
     def size(self, digest: str) -> int:
-        """Bytes of what is kept under a digest (hex). Raises ``OSError`` where nothing is."""
+        """The size in bytes of the file of a digest (hex), which counts as used now. Raises ``OSError`` if it is missing."""
         os.utime(self._directory / digest)
         return (self._directory / digest).stat().st_size
 
     def noted(self, name: str) -> str:
-        """A note that was kept. Raises ``OSError`` where there is none."""
+        """Read a note. Raises ``OSError`` if it is missing."""
         return (self._directory / name).read_text(encoding="utf-8")
 
     def note(self, name: str, text: str) -> None:
-        """Keep a note, whole or not at all: another run may read it."""
+        """Keep a note. It is replaced in one step, because another run may read it."""
         part = self._directory / f".{name}.{os.getpid()}.{threading.get_ident()}"
         part.write_text(text, encoding="utf-8")
         part.replace(self._directory / name)
@@ -150,12 +152,12 @@ class LayerCache:
         return None
 
     def _unpack(self, image: Image, missing: set[str], encoding: Encoding | None) -> None:
-        """Read the engine's archive once: keep the configuration, pack the layers that are missing."""
+        """Read the archive of an image once: keep the configuration, and pack the layers that are missing."""
         self._directory.mkdir(parents=True, exist_ok=True)
         small: dict[str, bytes] = {}
         with contextlib.suppress(OSError, ValueError):
             self._names |= json.loads(self.noted("names"))
-        stream = io.BufferedReader(_Pieces(self._export(image)), _CHUNK)
+        stream = io.BufferedReader(_Chunks(self._export(image)), _CHUNK)
         with tarfile.open(fileobj=stream, mode="r|", bufsize=_CHUNK) as archive:
             for member in archive:
                 content = archive.extractfile(member) if member.isfile() else None
@@ -166,7 +168,7 @@ class LayerCache:
                     content = io.BytesIO(small[member.name])
                 if encoding:
                     self._layer(member.name, content, missing, encoding)
-            stream.read()  # the engine ends its answer well
+            stream.read()  # to the end, so that Docker can report an error
         self._keep_config(image, small)
         self.note("names", json.dumps(self._names))
 
@@ -174,14 +176,16 @@ class LayerCache:
         try:
             config = small[json.loads(small["manifest.json"])[0]["Config"]]
         except (KeyError, IndexError, TypeError, ValueError) as problem:
-            raise DesktopError(f"the archive of {image.reference} names no configuration") from problem
+            raise DesktopError(
+                f"the archive of {image.reference} does not name its configuration"
+            ) from problem
         self.note(f"{image.fingerprint}.config", config.decode())
 
     def _layer(self, name: str, content: IO[bytes], missing: set[str], encoding: Encoding) -> None:
-        """Pack a member of the archive, and keep it where it is a layer that is missing.
+        """Pack a member of the archive, and keep it if it is a missing layer.
 
-        From Docker 25 on a plain layer's name is its digest; before, and where it is packed, only its bytes tell, and
-        its name the next time: Docker derives it from the layers up to that one.
+        From Docker 25 on the name of an unpacked layer is its digest. Before, and for packed layers, only the bytes show
+        which layer it is; the name is remembered for the next time, as Docker derives it from the layers up to that one.
         """
         first = content.read(_CHUNK)
         digest = name.removeprefix("blobs/sha256/")
@@ -205,7 +209,7 @@ def _name(diff_id: str, encoding: Encoding) -> str:
 
 
 def _pack(chunks: Iterable[bytes], out: IO[bytes], encoding: Encoding) -> Blob:
-    """Write a layer's tar packed, and tell what it has become."""
+    """Write the tar of a layer packed, and return the description of the packed bytes."""
     compressor = codec.Compressor(encoding)
     plain, packed = hashlib.sha256(), hashlib.sha256()
     unpacked = size = 0
@@ -231,18 +235,18 @@ def _pack(chunks: Iterable[bytes], out: IO[bytes], encoding: Encoding) -> Blob:
 
 
 def _inflated(first: bytes, rest: IO[bytes]) -> Iterator[bytes]:
-    """The bytes of a layer's tar: a containerd store keeps layers packed as they were pulled."""
+    """The unpacked bytes of a layer: a containerd store keeps layers packed as they were pulled."""
     inflate = codec.inflater(first)
     yield inflate(first)
     while chunk := rest.read(_CHUNK):
         yield inflate(chunk)
 
 
-class _Pieces(io.RawIOBase):
-    """Pieces of bytes, to be read as a file."""
+class _Chunks(io.RawIOBase):
+    """Chunks of bytes that can be read as a file."""
 
-    def __init__(self, pieces: Iterable[bytes]) -> None:
-        self._pieces = iter(pieces)
+    def __init__(self, chunks: Iterable[bytes]) -> None:
+        self._chunks = iter(chunks)
         self._rest = b""
 
     def readable(self) -> bool:
@@ -252,7 +256,7 @@ class _Pieces(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:  # noqa: ANN401  Python has no name for a buffer before 3.12
         """See ``io.RawIOBase.readinto``."""
         view = memoryview(buffer)
-        self._rest = self._rest or next(self._pieces, b"")
+        self._rest = self._rest or next(self._chunks, b"")
         count = min(len(view), len(self._rest))
         view[:count] = self._rest[:count]
         self._rest = self._rest[count:]
@@ -265,4 +269,4 @@ def _explained() -> Generator[None]:
         yield
     except (OSError, tarfile.TarError, *codec.DAMAGED) as problem:
         what = f"packing layers for sending failed: {problem}"
-        raise DesktopError(what, cure="is there room in ~/.cache?") from problem
+        raise DesktopError(what, cure="check that ~/.cache has free disk space") from problem

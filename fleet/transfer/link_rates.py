@@ -1,4 +1,4 @@
-"""How fast was the link to each robot?"""
+"""How fast was the link to each robot when it was last used? A file keeps the rates for forecasts."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 
 
 ENOUGH_TO_MEASURE = 500_000
-"""Bytes from which on a transfer tells something of the link."""
+"""Bytes. A smaller transfer fits into buffers on the way, and does not measure the link."""
 
 
 class LinkRates:
-    """How fast each robot's link was when bytes flowed last, in bytes per second, kept in a file."""
+    """The last measured rate of each robot's link in bytes per second, kept in a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def of(self, address: str) -> float | None:
-        """The last known rate to an address."""
+        """The last measured rate to an address; None if it is unknown."""
         return self._read().get(address)
 
     def note(self, address: str, count: int, seconds: float) -> None:
-        """Remember a transfer that tells something."""
+        """Record the rate of a transfer that is large enough to measure the link. A file that cannot be written is ignored."""
         if count >= ENOUGH_TO_MEASURE and seconds > 0:
             with contextlib.suppress(OSError):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -37,12 +37,12 @@ class LinkRates:
 
     def _read(self) -> dict[str, float]:
         try:
-            said = json.loads(self._path.read_text(encoding="utf-8"))
-            return {str(name): float(rate) for name, rate in said.items()}
+            rates = json.loads(self._path.read_text(encoding="utf-8"))
+            return {str(name): float(rate) for name, rate in rates.items()}
         except (OSError, ValueError, AttributeError, TypeError, OverflowError):
             return {}
 
 
 def lowest(*rates: float | None) -> float | None:
-    """The lowest of the rates that are known; None if none is."""
+    """The lowest known rate; None if all are unknown."""
     return min((rate for rate in rates if rate), default=None)

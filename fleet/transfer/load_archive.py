@@ -1,8 +1,8 @@
-"""What does ``docker load`` read? An archive that holds some layers only, and names all of them.
+"""Make the archive that ``docker load`` reads: it names all layers of the images, and contains only some of them.
 
 One archive serves every engine from 20.10 on: a classic store reads ``manifest.json`` (docker's own format), a
-containerd store ``index.json`` (opencontainers/image-spec, image-layout.md). The small members and the tar headers of
-the layers make the *frame*; on the robot, frame and layers are put together as the archive flows into ``docker load``.
+containerd store ``index.json`` (opencontainers/image-spec, image-layout.md). The *skeleton* is the archive without the
+contents of its layers; the robot puts skeleton and layers together as the archive flows into ``docker load``.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from fleet.images.layer import Blob
 
 BLOCK = 512
-"""Bytes of a tar header, and what members are padded to (POSIX pax, ustar interchange format)."""
+"""Bytes of a tar header; members are padded to a multiple of it (POSIX pax, ustar interchange format)."""
 
 INCOMING = "fleet/incoming"
-"""The private repository of images that are not proved yet."""
+"""The repository of images that were loaded and not yet proved."""
 
 _MANIFEST = "application/vnd.oci.image.manifest.v1+json"
 _CONFIG = "application/vnd.oci.image.config.v1+json"
@@ -34,7 +34,7 @@ _INDEX = "application/vnd.oci.image.index.v1+json"
 
 @dataclass(frozen=True, kw_only=True)
 class TargetImage:
-    """An image that a robot is to have: its configuration, byte for byte, and the name it gets there."""
+    """An image that the robot shall have: its configuration, byte for byte, and its name on the robot."""
 
     name: str
     fingerprint: str
@@ -42,21 +42,21 @@ class TargetImage:
 
     @property
     def incoming(self) -> str:
-        """Its name until it is proved."""
+        """The name of the image until it is proved."""
         return f"{INCOMING}:{self.fingerprint}"
 
     @property
     def diff_ids(self) -> tuple[str, ...]:
-        """Its layers, lowest first."""
+        """The layers of the image, lowest first."""
         return tuple(json.loads(self.config)["rootfs"]["diff_ids"])
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredManifest:
-    """What is known of an image before it is sent.
+    """The manifest of an image in a skeleton: ``length`` bytes from ``offset``.
 
-    ``ids`` are what ``docker image inspect`` calls it: the digest of its configuration on a classic store, of its manifest
-    on containerd's. The manifest lies in the frame, ``length`` bytes from ``offset``.
+    ``ids`` are the IDs that ``docker image inspect`` may print for the image: the digest of its configuration (classic
+    store) and of its manifest (containerd store).
     """
 
     image: TargetImage
@@ -67,27 +67,28 @@ class StoredManifest:
 
 @dataclass(frozen=True, kw_only=True)
 class ArchiveSkeleton:
-    """The archive without its layers: first a header for each layer that is sent, then the small members."""
+    """The archive without the contents of its layers: first a tar header for each layer, then the small members."""
 
     data: bytes
-    receipts: tuple[StoredManifest, ...]
+    manifests: tuple[StoredManifest, ...]
 
     @property
     def hex(self) -> str:
-        """Its SHA-256."""
+        """The SHA-256 of the data."""
         return hashlib.sha256(self.data).hexdigest()
 
 
-def frame(
+def skeleton(
     images: Sequence[TargetImage], *, blobs: Mapping[str, Blob], sent: Sequence[Blob]
 ) -> ArchiveSkeleton:
-    """The frame of an archive with the layers ``sent``; ``blobs`` says by which bytes each diff ID is known, if it is.
+    """The skeleton of an archive of ``images`` that contains the layers ``sent``.
 
-    A layer without a blob is one that a classic store has, and is named by its diff ID there.
+    ``blobs`` maps diff IDs to the bytes by which a layer is known. A layer without a blob is already in a classic store,
+    which knows it by its diff ID.
     """
     buffer = io.BytesIO(b"".join(_header(f"blobs/sha256/{blob.hex}", blob.size) for blob in sent))
     buffer.seek(0, io.SEEK_END)
-    receipts = []
+    manifests = []
     index, listing = [], []
     for image in images:
         layers = [_descriptor(diff_id, blobs.get(diff_id)) for diff_id in image.diff_ids]
@@ -97,14 +98,14 @@ def frame(
         offset = buffer.tell() + BLOCK
         digest = _add(buffer, manifest)
         ids = (f"sha256:{config}", f"sha256:{digest}")
-        receipts.append(StoredManifest(image=image, ids=ids, offset=offset, length=len(manifest)))
+        manifests.append(StoredManifest(image=image, ids=ids, offset=offset, length=len(manifest)))
         index.append(_entry(image, digest=digest, size=len(manifest)))
         paths = [f"blobs/sha256/{str(layer['digest']).removeprefix('sha256:')}" for layer in layers]
         listing.append({"Config": f"blobs/sha256/{config}", "RepoTags": [image.incoming], "Layers": paths})
     _add(buffer, _json({"schemaVersion": 2, "mediaType": _INDEX, "manifests": index}), "index.json")
     _add(buffer, _json({"imageLayoutVersion": "1.0.0"}), "oci-layout")
     _add(buffer, _json(listing), "manifest.json")
-    return ArchiveSkeleton(data=buffer.getvalue(), receipts=tuple(receipts))
+    return ArchiveSkeleton(data=buffer.getvalue(), manifests=tuple(manifests))
 
 
 def _descriptor(diff_id: str, blob: Blob | None) -> dict[str, object]:
@@ -114,7 +115,7 @@ def _descriptor(diff_id: str, blob: Blob | None) -> dict[str, object]:
 
 
 def _entry(image: TargetImage, *, digest: str, size: int) -> dict[str, object]:
-    """An image in the index; containerd wants its name whole, with the registry that short names mean."""
+    """An image in the index; containerd needs the full name, with the registry that short names imply."""
     names = {
         "io.containerd.image.name": f"docker.io/{image.incoming}",
         "org.opencontainers.image.ref.name": image.fingerprint,
@@ -123,7 +124,7 @@ def _entry(image: TargetImage, *, digest: str, size: int) -> dict[str, object]:
 
 
 def _add(buffer: io.BytesIO, data: bytes, name: str = "") -> str:
-    """Append a member, a blob where it has no name; the SHA-256 of its data."""
+    """Append a member and return the SHA-256 of its data. A member without a name is a blob."""
     digest = hashlib.sha256(data).hexdigest()
     buffer.write(_header(name or f"blobs/sha256/{digest}", len(data)))
     buffer.write(data + bytes(-len(data) % BLOCK))
@@ -133,7 +134,7 @@ def _add(buffer: io.BytesIO, data: bytes, name: str = "") -> str:
 def _header(name: str, size: int) -> bytes:
     member = tarfile.TarInfo(name)
     member.size = size
-    # GNU's form, because ustar's ends at 8 GiB; the name always fits.
+    # The GNU format, because ustar is limited to 8 GiB; the name always fits.
     return member.tobuf(tarfile.GNU_FORMAT)
 
 

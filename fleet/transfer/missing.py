@@ -1,22 +1,25 @@
-"""Which layers have to be sent? A pure function of the images that are wanted and of what a robot holds."""
+"""Which layers have to be sent? A pure function of the images to send and of what the robot's image store has."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fleet.images.layer import common_prefix
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-from fleet.images.layer import Blob, common_prefix
+
+    from fleet.images.layer import Blob
 
 
 @dataclass(frozen=True, kw_only=True)
 class MissingLayers:
-    """What a robot lacks of some images.
+    """The layers of some images that are missing on a robot.
 
-    ``send`` are diff IDs in the order in which an engine needs them, each once. ``there`` maps the others to the blobs
-    they are known by: containerd needs these in the manifest, a classic store knows its layers by diff ID alone.
-    ``layers`` is how many different layers the images have.
+    ``send`` has their diff IDs in the order in which an engine needs them, each once. ``there`` maps the other layers to
+    the blobs by which the robot knows them: containerd needs these in the manifest, a classic store knows its layers by
+    diff ID alone. ``layers`` is the number of different layers of the images.
     """
 
     send: tuple[str, ...]
@@ -31,10 +34,11 @@ def missing_layers(
     manifests: Iterable[Sequence[Blob]],
     containerd: bool,
 ) -> MissingLayers:
-    """What must be sent so that a robot has all of ``images`` (each its diff IDs, lowest first).
+    """Find the layers that a robot needs to have all ``images`` (each given as its diff IDs, lowest first).
 
-    A classic store looks a layer up by its chain: only a prefix of an image that is there may be left out. A containerd store looks up blobs by digest, wherever they came from;
-    a layer whose blob is not known is sent, because the store believes any digest and then holds a broken image.
+    A classic store looks a layer up by its chain: only layers that start an image on the robot may be left out. A
+    containerd store looks up blobs by digest, whatever image they came with. A layer whose blob is unknown is sent,
+    because the store accepts any digest in a manifest and then has a broken image.
     """
     everything = dict.fromkeys(diff_id for image in images for diff_id in image)
     known = {blob.diff_id: blob for blobs in manifests for blob in blobs} if containerd else {}

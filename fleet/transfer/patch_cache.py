@@ -1,4 +1,4 @@
-"""Which patches between layers has this computer made? Each is made once, of layers that were packed here."""
+"""Make patches between layers that were packed on this computer; each patch is made once and kept."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ if TYPE_CHECKING:
 
 
 class PatchCache:
-    """Makes patches, and keeps them in the cache with the layers."""
+    """The patches, kept in the cache of the layers."""
 
     def __init__(self, cache: LayerCache) -> None:
         self._cache = cache
-        self._turn = (
-            threading.Lock()
-        )  # many robots need the same one, and two layers at once are enough on the disk
+        # One patch at a time: many robots need the same one, and each takes two unpacked layers on the disk.
+        self._lock = threading.Lock()
 
     def make(self, *, old: str, new: str) -> Upload | None:
-        """The patch that makes layer ``new`` of ``old`` (diff IDs); None where one of them was never packed here.
+        """The patch that turns layer ``old`` into ``new`` (diff IDs); None if one of them was never packed here.
 
         Raises:
-            DesktopError: there is no room for it.
+            DesktopError: the disk is full.
 
         """
         note = f"patch-{old[7:39]}-{new[7:39]}"
-        with self._turn:
+        with self._lock:
             if known := self._known(note):
                 return known
             with self._cache.unpacked(old) as before, self._cache.unpacked(new) as after:

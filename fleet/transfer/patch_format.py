@@ -1,13 +1,13 @@
-r"""What has changed inside a layer? A patch that makes its tar of the tar it had before.
+r"""Make patches: what has changed inside a layer, from its old tar to its new one.
 
-The new tar is cut into segments, and each is packed against a range of the old tar, small enough for a robot's memory.
-The range is where the old tar has the files that the segment has. A layer is rebuilt by whoever reads, in order::
+The new tar is cut into segments. Each is packed against a range of the old tar that is small enough for a robot's memory
+and holds the old versions of the segment's files. A patch consists of, in order::
 
     fleet-patch 1 OLD_SIZE NEW_SIZE\n
     for each segment: old offset (8 bytes), old length, new length, packed length (4 bytes each), the packed bytes
 
-Numbers are big-endian. Packed bytes are one zstd frame whose reference is the old range; none at all means that the
-segment is the old range. `fleet.onboard.rebuild_layer` is the reader on the robot.
+Numbers are big-endian. Packed bytes are one zstd frame whose reference is the old range; a packed length of 0 means that
+the segment equals the old range. On the robot `fleet.onboard.rebuild_layer` reads the patch.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ MAGIC = "fleet-patch 1"
 HEADER = struct.Struct(">QIII")
 
 SEGMENT = 24 << 20
-"""Bytes of the new tar that are packed at once. With `RANGE` it decides how much memory a robot needs: 150 MB in all."""
+"""Bytes of the new tar that are packed at once. Together with `RANGE` it determines the robot's memory: 150 MB in all."""
 
 RANGE = 32 << 20
-"""Bytes of the old tar that a segment may refer to: the largest dictionary that the zstd command takes."""
+"""Bytes of the old tar that a segment may refer to: the largest dictionary that the zstd command accepts."""
 
-_MARGIN = 4 << 20  # bytes around what matched: files of other names may be alike
+_MARGIN = 4 << 20  # bytes around the matched files: files of other names may be similar
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Pair:
-    """A member that both tars have: where it begins and ends, header included, in the new one and in the old one."""
+    """A member that both tars have: its begin and end, header included, in the new tar and in the old one."""
 
     new: int
     new_end: int
@@ -47,9 +47,9 @@ class _Pair:
 
 
 def make(old: IO[bytes], new: IO[bytes], out: IO[bytes], *, level: int = codec.PATCH_LEVEL) -> int:
-    """Write the patch that makes ``new`` of ``old``, both seekable; return its size in bytes.
+    """Write the patch that turns ``old`` into ``new``, both seekable; return its size in bytes.
 
-    Whatever the two contain, the patch is right; how small it is depends on how much of them is tar and alike.
+    The patch is right whatever the two contain; it is small if both are tars with similar members.
     """
     pairs = _pairs(old, new)
     old_size, new_size = _size(old), _size(new)
@@ -81,7 +81,7 @@ def _read(file: IO[bytes], start: int, count: int) -> bytes:
 
 
 def _pairs(old: IO[bytes], new: IO[bytes]) -> list[_Pair]:
-    """The members that both have by the same name, in the order of the new tar."""
+    """The members that both tars have under the same name, in the order of the new tar."""
     there = {name: (start, end) for name, start, end in _members(old)}
     return [
         _Pair(new=start, new_end=end, old=there[name][0], old_end=there[name][1])
@@ -91,43 +91,43 @@ def _pairs(old: IO[bytes], new: IO[bytes]) -> list[_Pair]:
 
 
 def _members(file: IO[bytes]) -> list[tuple[str, int, int]]:
-    """Name, begin and end of each member of a tar; those before the first unreadable one where it is broken."""
-    found = []
+    """Name, begin and end of each member of a tar; in a broken tar of those before the first unreadable one."""
+    members = []
     try:
         file.seek(0)
         with tarfile.open(fileobj=file, mode="r:") as archive:
             for member in archive:
-                found.append((member.name, member.offset, archive.offset))
+                members.append((member.name, member.offset, archive.offset))
                 # tarfile remembers every member, and a layer may have a hundred thousand.
                 archive.members = []  # type: ignore[attr-defined]
     except (tarfile.TarError, ValueError, OverflowError, EOFError):
         pass
-    return found
+    return members
 
 
 def _before(pairs: Sequence[_Pair], position: int) -> int:
-    """How many pairs begin at or before that position of the new tar."""
+    """The number of pairs that begin at or before ``position`` of the new tar."""
     return bisect_right(pairs, position, key=lambda pair: pair.new)
 
 
 def _touched(pairs: Sequence[_Pair], start: int, end: int) -> Sequence[_Pair]:
-    """The pairs of which some bytes are between two positions of the new tar."""
+    """The pairs that have bytes between two positions of the new tar."""
     first = max(0, _before(pairs, start) - 1)
     return [pair for pair in pairs[first : _before(pairs, end - 1)] if pair.new_end > start]
 
 
 def _around(pairs: Sequence[_Pair], start: int) -> tuple[int, int]:
-    """Where in the old tar a segment may have been of which the old tar has no member: after the last one before it."""
+    """A guess at the old range of a segment without common members: after the last common member before it."""
     before = _before(pairs, start)
     begin = pairs[before - 1].old_end if before else start
     return begin, begin + SEGMENT
 
 
 def _spans(touched: Sequence[_Pair], start: int, end: int) -> Iterator[tuple[int, int]]:
-    """Where in the old tar the bytes of these members between two positions of the new tar have been.
+    """The ranges of the old tar that correspond to the members' bytes between two positions of the new tar.
 
-    A member of another size than before may have lost or gained bytes anywhere, so it counts both from its begin and
-    from its end.
+    A member whose size has changed may have lost or gained bytes anywhere, so its bytes are counted both from its begin
+    and from its end.
     """
     for pair in touched:
         head, tail = max(0, start - pair.new), max(0, pair.new_end - end)
@@ -140,14 +140,14 @@ def _spans(touched: Sequence[_Pair], start: int, end: int) -> Iterator[tuple[int
 
 
 def _range(spans: Sequence[tuple[int, int]], old_size: int) -> tuple[int, int]:
-    """Begin and end of the `RANGE` bytes of the old tar, or fewer, that hold most of the spans."""
+    """Begin and end of at most `RANGE` bytes of the old tar that hold most of the spans."""
     begin, end = _densest(sorted(spans))
     margin = min(_MARGIN, (RANGE - (end - begin)) // 2)
     return max(0, min(begin - margin, old_size)), min(end + margin, old_size)
 
 
 def _densest(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """Begin and end of the run of spans, ordered by their begin, that holds most bytes and fits into `RANGE`."""
+    """Begin and end of the run of spans (ordered by begin) that holds the most bytes and fits into `RANGE`."""
     best, first, held = (0, 0, 0), 0, 0
     for begin, end in spans:
         held += end - begin

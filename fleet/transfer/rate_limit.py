@@ -1,4 +1,4 @@
-"""How much of the air may be used? One limit for all robots of a run, so that teleoperation survives an update."""
+"""One limit of bytes per second for all robots of a run, so that teleoperation over the same Wi-Fi survives an update."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from fleet.errors import UsageError
 _UNITS = {"kbit": 1e3 / 8, "mbit": 1e6 / 8, "gbit": 1e9 / 8, "kb": 1e3, "mb": 1e6}
 
 BURST = 0.1
-"""Seconds that may be caught up with after a pause: more would be a burst on the air."""
+"""Seconds of unused rate that may be used after a pause; more would be a burst on the Wi-Fi."""
 
 
-def bytes_per_second(said: str) -> float | None:
-    """``8Mbit`` or ``1MB`` as bytes per second; None for no limit.
+def bytes_per_second(text: str) -> float | None:
+    """``8Mbit`` or ``1MB`` as bytes per second; None (no limit) for an empty text.
 
     Raises:
-        Mistake: it is neither.
+        UsageError: the text is not a rate, or below 1 kB per second.
 
     """
-    if not said:
+    if not text:
         return None
-    found = re.fullmatch(
-        r"([0-9]+(?:\.[0-9]+)?) *(?:([kmg]bit)(?:/s|ps)?|([km]b)(?:/s)?)", said.strip().lower()
+    match = re.fullmatch(
+        r"([0-9]+(?:\.[0-9]+)?) *(?:([kmg]bit)(?:/s|ps)?|([km]b)(?:/s)?)", text.strip().lower()
     )
-    rate = float(found[1]) * _UNITS[found[2] or found[3]] if found else 0.0
+    rate = float(match[1]) * _UNITS[match[2] or match[3]] if match else 0.0
     if rate < 1000:
         raise UsageError(
-            f"--limit {said} is no rate", cure="write it as 8Mbit (bits) or 1MB (bytes) per second"
+            f"--limit {text} is not a rate", cure="write it as 8Mbit (bits) or 1MB (bytes) per second"
         )
     return rate
 
 
 class RateLimiter:
-    """A rate in bytes per second, shared by whoever takes part of it; None lets everything pass."""
+    """A rate in bytes per second that all transfers share; None means no limit."""
 
     def __init__(self, rate: float | None) -> None:
         self.rate = rate
         self._lock = threading.Lock()
         self._free = 0.0
 
-    def take(self, count: int) -> None:
-        """Wait until so many bytes may be sent."""
+    def acquire(self, count: int) -> None:
+        """Wait until ``count`` bytes may be sent."""
         if self.rate is None:
             return
         with self._lock:

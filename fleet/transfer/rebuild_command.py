@@ -1,12 +1,12 @@
-"""Which command makes a new layer of an old one on a robot? Its program is `fleet.onboard.rebuild_layer`."""
+"""The command that rebuilds a layer on a robot from one that the robot has, with `fleet.onboard.rebuild_layer`."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from importlib import resources
 from typing import TYPE_CHECKING
 
+from fleet import onboard
 from fleet.images.layer import chain_id, common_prefix
 
 if TYPE_CHECKING:
@@ -15,15 +15,6 @@ if TYPE_CHECKING:
     from fleet.images.layer import Blob
     from fleet.plan.step import Upload
 
-UNUSABLE = 65
-"""Exit code: the old layer or the patch is damaged, or they are not of each other (sysexits.h, EX_DATAERR)."""
-
-MISSING = 69
-"""Exit code: there is no such old layer, no right to read it, or no zstd (EX_UNAVAILABLE)."""
-
-BROKEN = 74
-"""Exit code: reading or writing failed (EX_IOERR)."""
-
 DATA_ROOT = "/var/lib/docker"
 
 _CONTENT = "io.containerd.content.v1.content/blobs/sha256"
@@ -31,7 +22,7 @@ _CONTENT = "io.containerd.content.v1.content/blobs/sha256"
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A layer that a robot has, and of which another one may be made; ``where`` are the arguments that name it there."""
+    """A layer on the robot from which another one is made; ``where`` has the arguments that name it."""
 
     diff_id: str
     where: tuple[str, ...]
@@ -39,7 +30,7 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class RebuiltLayer:
-    """A layer (``diff_id``, ``size`` bytes of tar) that a robot makes of one it has; without a patch it is the same one."""
+    """A layer (``diff_id``, ``size`` bytes of tar) that the robot makes from ``source``; without a patch it is a copy."""
 
     diff_id: str
     size: int
@@ -49,16 +40,16 @@ class RebuiltLayer:
 
 def sources(
     images: Iterable[tuple[str, ...]],
-    lacking: Iterable[str],
+    missing: Iterable[str],
     *,
     chains: Iterable[tuple[str, ...]],
     manifests: Iterable[Sequence[Blob]],
     containerd: bool,
     root: str = DATA_ROOT,
 ) -> dict[str, Source]:
-    """For each layer that is lacking the one it may be made of: itself in another place, or else its predecessor.
+    """Find the layer from which each missing layer may be made: the same layer in another place, or its predecessor.
 
-    That is the layer in the same place of the image there that has most layers below it in common.
+    The predecessor is the layer at the same height of the robot's image that shares the most lower layers.
     """
     there = (
         [tuple((blob.diff_id, from_blob(blob.digest, root=root)) for blob in blobs) for blobs in manifests]
@@ -66,15 +57,15 @@ def sources(
         else [_places(chain, root) for chain in chains]
     )
     same = {diff_id: where for places in there for diff_id, where in places}
-    found: dict[str, Source] = {}
+    chosen: dict[str, Source] = {}
     for image in images:
         nearest = sorted(there, key=lambda places: -common_prefix(image, [diff_id for diff_id, _ in places]))
         for at, wanted in enumerate(image):
             if wanted in same:
-                found[wanted] = Source(diff_id=wanted, where=same[wanted])
+                chosen[wanted] = Source(diff_id=wanted, where=same[wanted])
             elif place := next((places[at] for places in nearest if len(places) > at), None):
-                found.setdefault(wanted, Source(diff_id=place[0], where=place[1]))
-    return {wanted: found[wanted] for wanted in lacking if wanted in found}
+                chosen.setdefault(wanted, Source(diff_id=place[0], where=place[1]))
+    return {wanted: chosen[wanted] for wanted in missing if wanted in chosen}
 
 
 def _places(chain: tuple[str, ...], root: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -84,22 +75,22 @@ def _places(chain: tuple[str, ...], root: str) -> tuple[tuple[str, tuple[str, ..
 
 
 def program() -> bytes:
-    """The program, to be sent to a robot."""
-    return (resources.files("fleet.onboard") / "rebuild_layer.py").read_bytes()
+    """The program that is sent to the robot."""
+    return onboard.text("rebuild_layer.py").encode()
 
 
 def program_digest() -> str:
-    """Its SHA-256 in hex: what it is called in a robot's spool."""
+    """The SHA-256 of the program in hex: its file name in the robot's spool."""
     return hashlib.sha256(program()).hexdigest()
 
 
 def from_chain(chain_id: str, *, root: str = DATA_ROOT) -> tuple[str, ...]:
-    """Arguments that name a layer of a classic overlay2 store, which root may read."""
+    """Arguments that name a layer of a classic overlay2 store, which only root may read."""
     return ("--root", root, "--chain", chain_id)
 
 
 def from_blob(digest: str, *, root: str = DATA_ROOT) -> tuple[str, ...]:
-    """Arguments that name a blob of a containerd store, which root may read.
+    """Arguments that name a blob of a containerd store, which only root may read.
 
     dockerd's own containerd keeps it below the data root, the system's below ``/var/lib/containerd``.
     """
@@ -109,7 +100,7 @@ def from_blob(digest: str, *, root: str = DATA_ROOT) -> tuple[str, ...]:
 
 
 def from_files(*paths: str) -> tuple[str, ...]:
-    """Arguments that name a layer's tar, plain or packed: the first of these files that exists."""
+    """Arguments that name a layer's tar, plain or packed: the first of the files that exists."""
     return tuple(part for path in paths for part in ("--file", path))
 
 
@@ -122,10 +113,10 @@ def argv(
     scratch: str = ".",
     check: bool = False,
 ) -> tuple[str, ...]:
-    """The command that writes the layer ``wanted`` (its diff ID), or with ``check`` only proves that it could.
+    """The command that writes the layer ``wanted`` (its diff ID), or with ``check`` only proves that it can.
 
-    ``old`` are the arguments of one of the functions above; without a ``patch`` the old layer is the wanted one.
-    ``scratch`` is a directory for small files, or a large one where the old layer is packed.
+    ``old`` comes from one of the functions above; without a ``patch`` the old layer itself is the wanted one. ``scratch``
+    is a directory for small files, and for a large one if the old layer is packed.
     """
     with_patch = ("--patch", patch) if patch else ()
     checking = ("--check",) if check else ()

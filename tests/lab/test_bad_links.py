@@ -96,7 +96,7 @@ def test_docker_that_dies_during_the_load(project: Project, pi: Pi) -> None:
     shipped(project)
     project.stack(tick=service(HEAVY))
     with project.start("ship", "--json") as fab:
-        fab.await_text("pi1: load it into Docker")
+        fab.await_text("pi1: load the image into Docker")
         pi.exec("systemctl", "kill", "--signal", "KILL", "docker")
         said = fab.end(within=120)
     assert (said.code, said.status) == (0, dict.fromkeys(("pi1", "pi2", "pi3"), "done"))
@@ -104,7 +104,7 @@ def test_docker_that_dies_during_the_load(project: Project, pi: Pi) -> None:
 
 
 def test_ctrl_c_while_connecting(project: Project, pi: Pi) -> None:
-    """A robot that accepts the connection and says nothing does not hold the person."""
+    """A robot that accepts the connection but sends no SSH banner does not hold the person."""
     subprocess.run(("docker", "pause", pi.container), capture_output=True, check=True)
     try:
         with project.start("ship", "--hosts", "pi1") as fab:
@@ -159,7 +159,7 @@ def test_two_ships_at_once(project: Project, pi: Pi) -> None:
     with project.start("ship", "--hosts", "pi1", "--limit", "80Mbit") as first:
         assert eventually(lambda: spooled(pi) > 1_000_000)
         with project.start("ship", "--hosts", "pi1") as second:
-            second.await_text("who is shipping to it")
+            second.await_text("who is shipping to this robot")
             assert second.end(within=100).code == 0
         assert first.end().code == 0
     assert list(running(pi)) == ["tick"]

@@ -192,7 +192,7 @@ def test_a_disk_that_fills_up_during_the_load(project: Project, pi: Pi) -> None:
     finally:
         pi.exec("umount", "/var/lib/docker/tmp")
     (outcome,) = said.json
-    assert (said.code, outcome["reason"].splitlines()[0]) == (1, "its disk is full")
+    assert (said.code, outcome["reason"].splitlines()[0]) == (1, "the robot's disk is full")
     assert "docker image prune" in outcome["cure"]
     assert running(pi) == before
     project.well("ship", "--hosts", "pi1")
@@ -209,7 +209,7 @@ def test_a_home_that_is_full(project: Project, pi: Pi) -> None:
         said = project.fab("ship", "--hosts", "pi1", "--json")
     finally:
         pi.exec("sh", "-c", "umount ~pi/.fleet/releases")
-    assert (said.code, said.json[0]["reason"].splitlines()[0]) == (1, "its disk is full")
+    assert (said.code, said.json[0]["reason"].splitlines()[0]) == (1, "the robot's disk is full")
     assert (running(pi), current(pi)) == before
 
 

@@ -89,8 +89,8 @@ def late(chance: random.Random, fab: Running, robot: str, *, login: int) -> list
         return Cut(after=after, later=later, when=lambda: fab.wrote(f"{robot}: {title}"))
 
     return [
-        *(cut("load it into Docker", later=later) for later in (0, chance.uniform(0, 2))),
-        *(cut("prove that what arrived", after=after) for after in (0, chance.randrange(login))),
+        *(cut("load the image into Docker", later=later) for later in (0, chance.uniform(0, 2))),
+        *(cut("prove that the image", after=after) for after in (0, chance.randrange(login))),
         *(cut("start release", later=later) for later in (0, chance.uniform(0, 2))),
         cut("start release", after=chance.randrange(login)),
     ]
@@ -183,7 +183,7 @@ def test_power_that_fails_during_the_load(project: Project, pi: Pi, retry_for: s
     before = release_before(project, pi)
     ship = ("ship", "--hosts", "pi1", "--json")
     with project.start(*ship, "--retry-for", retry_for) as fab:
-        fab.await_text("pi1: load it into Docker")
+        fab.await_text("pi1: load the image into Docker")
         power(pi, "kill")
         if retry_for == "0":
             assert fab.end(within=40).status == {"pi1": "failed"}
@@ -239,7 +239,7 @@ def test_a_disk_that_somebody_else_fills_half_way(project: Project, pi: Pi) -> N
             assert eventually(lambda: spooled(pi) > 5_000_000, within=60)
             pi.exec("sh", "-c", "head -c 60M /dev/zero > ~pi/.fleet/spool/lock.theirs || true")
             said = fab.end(within=60)
-        assert (said.code, said.json[0]["reason"]) == (1, "its disk is full"), said.all
+        assert (said.code, said.json[0]["reason"]) == (1, "the robot's disk is full"), said.all
         runs(pi, before["pi1"])
         pi.exec("sh", "-c", "rm ~pi/.fleet/spool/lock.theirs")
         arrived = spooled(pi)

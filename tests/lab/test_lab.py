@@ -160,7 +160,7 @@ def test_down_without_a_lab_says_so(tmp_path: Path) -> None:
     """Twice is no error."""
     said: list[str] = []
     lifecycle.down(directory=tmp_path / "nowhere", name=f"{LAB}-none", say=said.append)
-    assert said == ["there is no lab to remove"]
+    assert said == ["there are no virtual Pis to remove"]
 
 
 @pytest.fixture
@@ -173,7 +173,7 @@ def somebodys_network() -> Iterator[str]:
 
 def test_somebody_elses_network_is_not_used(tmp_path: Path, somebodys_network: str) -> None:
     """Its containers would meet robots, and down would have to leave it."""
-    with pytest.raises(DesktopError, match="somebody else's; give the lab another name"):
+    with pytest.raises(DesktopError, match="does not belong to this lab; remove it"):
         lifecycle.up(1, directory=tmp_path, name=somebodys_network, say=print)
 
 

@@ -21,7 +21,7 @@ from fleet.ssh import connect, known_hosts
 from tests.support.lab_project import LAB
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from fleet.config.inventory import Robot
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fleet.plan.step import Feed, Plan
     from fleet.robot.facts import Facts
 
-BOUNDS = apt.Bounds(patience=120, limit=300)
+BOUNDS = apt.Bounds(lock_timeout=120, limit=300)
 
 
 class Ear:
@@ -37,6 +37,9 @@ class Ear:
 
     def __init__(self) -> None:
         self.steps: list[str] = []
+
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        pass
 
     def step_started(self, robot: str, title: str, size: int | None) -> None:  # noqa: ARG002
         self.steps.append(title)
@@ -169,7 +172,7 @@ def test_a_disk_that_fills_is_told(blank: Target) -> None:
     with blank.broken(f"mount -t tmpfs -o size=100k tmpfs {cache}", mended_by=f"umount {cache}"):
         outcome, _ = blank.provision()
     assert (outcome.status, outcome.step) == ("failed", "install Docker, which takes minutes")
-    assert outcome.reason.startswith("its disk is full")
+    assert outcome.reason.startswith("the robot's disk is full")
     assert "apt-get clean" in outcome.cure
 
 
@@ -185,14 +188,14 @@ def test_no_network_is_told(blank: Target) -> None:
     ):
         outcome, _ = blank.provision()
     assert outcome.status == "failed"
-    assert outcome.reason.startswith(("it cannot find deb.debian.org", "it cannot reach"))
+    assert outcome.reason.startswith(("the robot cannot resolve deb.debian.org", "the robot cannot reach"))
     assert "internet" in outcome.cure
 
 
 def test_a_script_that_does_nothing_is_not_believed(blank: Target) -> None:
     """Its exit code of 0 proves nothing; it stays there to be looked at."""
     outcome, _ = blank.provision(b"#!/bin/sh\nexit 0\n")
-    assert (outcome.status, outcome.step) == ("failed", "prove that the script installed it")
+    assert (outcome.status, outcome.step) == ("failed", "prove that the script installed Docker")
     assert outcome.reason.startswith("the script ended without an error, and installed nothing")
     assert outcome.cure == "`sudo sh -x .fleet/get-docker.sh` there shows what it does"
     assert blank.root("cat /home/pi/.fleet/get-docker.sh") == "#!/bin/sh\nexit 0"
@@ -202,9 +205,9 @@ def test_a_script_that_hangs_is_ended_on_the_robot(blank: Target) -> None:
     """With all that it started, though that is root's."""
     hangs = b"#!/bin/sh\ntrap '' TERM\necho begun\nsleep 4321 &\nwhile :; do sleep 4321; done\n"
     started = time.monotonic()
-    outcome, _ = blank.provision(hangs, bounds=apt.Bounds(patience=1, limit=2))
+    outcome, _ = blank.provision(hangs, bounds=apt.Bounds(lock_timeout=1, limit=2))
     assert outcome.status == "failed"
-    assert outcome.reason.startswith("it did not end within 2 s, and was ended")
+    assert outcome.reason.startswith("the command did not end within 2 s, and was stopped")
     assert time.monotonic() - started < 30
     assert blank.root("pgrep -fc '[s]leep 4321' || true") == "0"
 
@@ -219,7 +222,7 @@ def test_a_package_source_that_poisons_apt_is_taken_back(blank: Target) -> None:
     assert outcome.reason.startswith(
         "apt does not accept the package source http://deb.debian.org/debian nosuch"
     )
-    assert "went back: forget Docker's package source" in outcome.reason
+    assert "went back: remove Docker's package source" in outcome.reason
     assert "docker.list" not in blank.root("ls /etc/apt/sources.list.d; apt-get -qq update")
 
 
@@ -234,10 +237,10 @@ def test_an_apt_that_stays_locked_is_told(blank: Target) -> None:
     )
     blank.root(f'python3 -c "{hold}" > /dev/null 2>&1 & until [ -e /root/held ]; do sleep 0.05; done')
     with blank.broken("true", mended_by="rm /root/held"):
-        outcome, _ = blank.provision(bounds=apt.Bounds(patience=1, limit=60))
+        outcome, _ = blank.provision(bounds=apt.Bounds(lock_timeout=1, limit=60))
     assert outcome.status == "failed"
-    assert outcome.reason.startswith("another program there uses apt (python3)")
-    assert "wait until it is done" in outcome.cure
+    assert outcome.reason.startswith("another program on the robot uses apt (python3)")
+    assert "wait until it has finished" in outcome.cure
 
 
 def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
@@ -263,9 +266,9 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         target.root(f'python3 -c "{hold}" > /dev/null 2>&1 & until [ -e /root/held ]; do sleep 0.05; done')
         assert mended(target)[:6] == [
             "keep 3 log files of 10m per container",
-            "see that it reaches its package archive",
-            "finish what dpkg was stopped in",
-            "forget Docker's package source",
+            "check that the robot reaches its package archive",
+            "complete an interrupted installation of packages",
+            "remove Docker's package source",
             "remove docker-buildx, which clash with Docker's own packages",
             "send Docker's script " + f"({target.robot.docker.script})",
         ]
@@ -325,7 +328,10 @@ def test_an_installation_that_was_cut_off_is_finished(ready: Target) -> None:
         "systemctl stop docker docker.socket; dpkg --unpack /var/cache/apt/archives/docker.io_*.deb 2>&1"
     )
     assert ready.facts().packages.interrupted
-    assert mended(ready) == ["finish what dpkg was stopped in", "start Docker now and at every boot"]
+    assert mended(ready) == [
+        "complete an interrupted installation of packages",
+        "start Docker now and at every boot",
+    ]
 
 
 def test_settings_that_are_not_json_are_refused(ready: Target) -> None:
@@ -333,7 +339,7 @@ def test_settings_that_are_not_json_are_refused(ready: Target) -> None:
     path = "/etc/docker/daemon.json"
     with (
         ready.broken(f"cp {path} /root/keep; echo '{{ bad' > {path}", mended_by=f"mv /root/keep {path}"),
-        pytest.raises(NotReady, match=f"{path} is not JSON: .*line 1.*; mend it there"),
+        pytest.raises(NotReady, match=f"{path} is not JSON: .*line 1.*; fix the file"),
     ):
         ready.plan()
 

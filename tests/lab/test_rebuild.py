@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.onboard import exit_codes
 from fleet.transfer import rebuild_command
 from tests.support.layers import made, noise, tar
 
@@ -81,7 +82,7 @@ def test_a_layer_of_a_pis_own_engine_becomes_a_new_one(pi: Pi) -> None:
         assert ssh("sudo", "-n", *write).stdout == NEW
         assert ssh("sudo", "-n", *copy).stdout == OLD
         refused = ssh(*write)
-        assert (refused.returncode, refused.stdout) == (rebuild_command.MISSING, b"")
+        assert (refused.returncode, refused.stdout) == (exit_codes.MISSING, b"")
         assert refused.stderr.endswith(b": Permission denied\n")
         assert sorted(ssh("ls", "-A", place).stdout.split()) == [b"patch", b"rebuild.py"]
     finally:

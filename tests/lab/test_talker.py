@@ -234,7 +234,7 @@ def test_hostname_that_is_loopback_is_told(image: str, start: Start) -> None:
     wait_for("{{.State.Health.Status}}", "healthy", within=30)
     with pytest.raises(NotAsPlanned, match="call themselves localhost") as caught:
         next(listen.messages(robot, "/time", timeout=5))
-    assert caught.value.cure == f"set ros.ip of pi1 to {robot.address}, and ship it"
+    assert caught.value.cure == f"set ros.ip of pi1 to {robot.address}, then run `fab ship`"
 
 
 def test_name_that_only_others_resolve(image: str, start: Start) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from fleet.config.inventory import Robot
@@ -50,10 +50,14 @@ class Told:
     """A `fleet.rollout.progress.Progress` that remembers what it was told."""
 
     def __init__(self) -> None:
+        self.announced: list[tuple[tuple[str, ...], str]] = []
         self.began_with: list[tuple[str, str, int | None]] = []
         self.bytes = 0
         self.said: list[tuple[str, str]] = []
         self.ended_with: list[Outcome] = []
+
+    def announce(self, robots: Sequence[str], title: str) -> None:
+        self.announced.append((tuple(robots), title))
 
     def step_started(self, robot: str, title: str, size: int | None) -> None:
         self.began_with.append((robot, title, size))

@@ -10,7 +10,7 @@ import signal
 import socket
 import subprocess
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fleet.config.inventory import Robot
@@ -45,6 +45,8 @@ class Sshd:
     known_hosts: Path
     host_keys: dict[str, HostKey]
     process: subprocess.Popen[bytes]
+    running: list[Sshd] = field(default_factory=list, repr=False, compare=False)
+    """All servers to end with the test; one that is started again adds itself."""
 
     @property
     def known_as(self) -> str:
@@ -96,9 +98,11 @@ class Sshd:
         """One that was stopped, as it was: where it listened, with its keys. It listens when this returns."""
         listens = self.log.read_text().count("Server listening")
         process = subprocess.Popen(self.process.args, start_new_session=True)
+        restarted = replace(self, process=process)
+        self.running.append(restarted)
         while process.poll() is None and self.log.read_text().count("Server listening") == listens:
             time.sleep(0.002)
-        return replace(self, process=process)
+        return restarted
 
 
 class Sshds:
@@ -153,7 +157,8 @@ class Sshds:
     def stop(self) -> None:
         """End them all."""
         for running in self._running:
-            running.stop()
+            if running.process.poll() is None:
+                running.stop()
         self._running.clear()
 
     def _launch(
@@ -194,6 +199,7 @@ class Sshds:
             known_hosts=self.known_hosts,
             host_keys={kind: public_key(key) for kind, key in keys.items()},
             process=process,
+            running=self._running,
         )
 
     def _listens(self, launched: Sshd, *, trusted: bool) -> bool:

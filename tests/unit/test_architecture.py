@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import ast
+import re
+import shutil
+import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -34,7 +37,7 @@ PURE = {
     *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
     *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
-    *("cli.json_output", "cli.status"),
+    *("cli.json_output", "cli.overview", "cli.status"),
     *("config", "diagnosis", "images", "onboard", "provision", "robot", "ros", "transfer"),
 }
 """Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
@@ -62,25 +65,22 @@ LONGEST_FUNCTION = 33
 
 EXCUSED: dict[str, str] = {}
 
-UNTESTED = {
-    "cli.deploy",
-    "cli.lab",
-    "cli.observe",
-    "cli.selection",
-    "diagnosis.known_errors",
-    "rollout.progress",
-    "transfer.link_rates",
-    "transfer.patch_cache",
-    "transfer.rebuild_command",
-}
+UNTESTED: set[str] = set()
 ABOUT_MORE = {
-    "architecture": "",
-    "cli.json_contract": "",
-    "cli.verbs": "",
-    "ssh.logins": "",
-    "ssh.networks": "",
-    "transfer.transfer": "",
+    "architecture": "all of it",
+    "cli.json_contract": "what `--json` promises, whichever module prints it",
+    "cli.verbs": "the verbs as a person types them",
+    "ssh.logins": "connecting, with the ways to log in",
+    "ssh.networks": "connecting, over links that fail",
 }
+
+SHELL_IN_PYTHON: set[str] = set()
+"""Modules that still hold a shell script of more than three lines; `onboard/*.sh` is where scripts belong."""
+
+SHELL = re.compile(
+    r"^\s*(set -[eu]+\b|if \[|while .*; do|for .*; do|case .* in$|trap [\"'A-Z]|(done|fi|esac)\s*($|[;|&<>)]))",
+    re.MULTILINE,
+)
 
 FORBIDDEN = {"base", "common", "core", "helper", "helpers", "manager", "misc", "util", "utils"}
 
@@ -205,7 +205,7 @@ def test_names_shadow_nothing_and_mean_something(name: str) -> None:
 
 
 def test_every_module_has_its_tests_and_no_test_is_about_nothing() -> None:
-    """`fleet/plan/ship.py` is tested by `tests/unit/plan/test_ship.py`."""
+    """`fleet/plan/ship.py` is tested by `tests/unit/plan/test_ship.py`, and so is each shell script."""
     modules = {name for name in MODULES if not (ROOT / "fleet" / name.replace(".", "/")).is_dir()}
     scripts = {f"onboard.{path.stem}" for path in (ROOT / "fleet" / "onboard").glob("*.sh")}
     unit = ROOT / "tests" / "unit"
@@ -217,7 +217,7 @@ def test_every_module_has_its_tests_and_no_test_is_about_nothing() -> None:
     beside = {
         test
         for test in tests - modules - scripts
-        if test.partition(".")[0] not in ("bench", "support", "talker")
+        if test.partition(".")[0] not in ("bench", "docs", "support", "talker")
     }
     assert beside == set(ABOUT_MORE)
 
@@ -232,3 +232,60 @@ def test_each_module_says_what_it_answers() -> None:
 def test_docker_is_a_folder_and_no_package() -> None:
     """With an ``__init__.py`` it would be found in place of the SDK."""
     assert not list((ROOT / "docker").rglob("__init__.py"))
+
+
+def test_an_import_that_runs_up_is_refused(tmp_path: Path) -> None:
+    """`lint-imports`, which holds the layers of the rooms, fails on it and names both modules."""
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    shutil.copytree(ROOT / "fleet", tmp_path / "fleet", ignore=shutil.ignore_patterns("__pycache__"))
+
+    def lint() -> subprocess.CompletedProcess[str]:
+        command = (sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()")
+        return subprocess.run(
+            (*command, "--no-cache"),
+            cwd=tmp_path,
+            env={"PYTHONPATH": str(tmp_path), "COLUMNS": "200"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert lint().returncode == 0
+    with (tmp_path / "fleet/config/selection.py").open("a", encoding="utf-8") as lower:
+        lower.write("\nimport fleet.rollout.pool\n")
+    done = lint()
+    assert done.returncode == 1
+    assert "fleet.config.selection -> fleet.rollout.pool" in done.stdout
+
+
+def shell_scripts(tree: ast.AST) -> list[int]:
+    """The lines on which a string begins that is a shell script of more than three lines."""
+    strings = [
+        node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    strings += [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]  # type: ignore[misc]
+    return [node.lineno for node in strings if _is_script(_text(node))]
+
+
+def _text(node: ast.expr) -> str:
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    return "".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in parts)
+
+
+def _is_script(text: str) -> bool:
+    return len(text.strip().splitlines()) > 3 and SHELL.search(text) is not None
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_shell_script_is_a_file(name: str) -> None:
+    """What runs on a robot is checked by shellcheck, which reads no Python strings."""
+    assert bool(shell_scripts(MODULES[name])) == (name in SHELL_IN_PYTHON)
+
+
+def test_a_shell_script_in_a_string_is_found() -> None:
+    """Also with values put into it; three lines are no script, and prose is none."""
+    script = "x = {}'''\nset -e\nfor name in *; do\n  echo $name {}\ndone\n'''"
+    assert shell_scripts(ast.parse(script.format("", "")))
+    assert shell_scripts(ast.parse(script.format("f", "{y}")))
+    assert not shell_scripts(ast.parse("x = 'set -e\\nif [ 1 ]; then echo\\nfi'"))
+    assert not shell_scripts(ast.parse("'''If it is\ndone,\nit ends\nat last.'''"))

@@ -121,6 +121,7 @@ def test_streaming_costs_about_as_much_as_with_openssh(sshd: Sshd, environment: 
     assert min(ours.cpu / theirs.cpu for ours, theirs in zip(both.fleet, both.usual, strict=True)) < 2
 
 
+@pytest.mark.usefixtures("desktop")
 def test_asking_many_robots_takes_little_longer_than_a_bare_pool(
     tmp_path: Path, environment: Mapping[str, str]
 ) -> None:

@@ -34,7 +34,7 @@ BROKEN = Outcome(
     cure="`fab logs` shows what it says",
 )
 GONE = Outcome(
-    robot="pi4", status="unreachable", reason="pi4 does not answer within 10 s", cure="has it power?"
+    robot="pi4", status="unreachable", reason="pi4 did not answer within 10 s", cure="has it power?"
 )
 
 
@@ -67,7 +67,7 @@ def test_outcomes_in_words(screen: Screen) -> None:
         "           | Traceback (most recent call last):\n"
         "           |   boom\n"
         "           cure: `fab logs` shows what it says\n"
-        "pi4      unreachable  pi4 does not answer within 10 s\n"
+        "pi4      unreachable  pi4 did not answer within 10 s\n"
         "           cure: has it power?\n"
     )
     assert err(screen) == "1 done, 1 unchanged, 1 failed, 1 unreachable\n"
@@ -89,7 +89,7 @@ def test_problems_go_to_standard_error(screen: Screen) -> None:
     assert screen.problems([DONE, GONE, skipped]) == 1
     assert screen.problems([DONE, skipped]) == 0
     assert out(screen) == ""
-    assert err(screen) == "pi4: pi4 does not answer within 10 s\n  cure: has it power?\n"
+    assert err(screen) == "pi4: pi4 did not answer within 10 s\n  cure: has it power?\n"
 
 
 def test_a_plan_on_the_screen(screen: Screen) -> None:
@@ -233,6 +233,17 @@ def test_progress_where_nobody_watches_is_lines(screen: Screen) -> None:
         progress.finished(DONE)
     assert err(screen) == "pi1: load talker (242 MB)\npi1: start it\npi1: done after 8 s\n"
     assert out(screen) == ""
+
+
+def test_a_step_of_all_robots_is_one_line(screen: Screen) -> None:
+    """With 20 robots, 20 equal lines would hide the result; a later repetition by one robot is shown again."""
+    with screen.progress() as progress:
+        progress.announce(["pi1", "pi2"], "look at the robot")
+        for robot in ("pi1", "pi2", "pi2"):
+            progress.step_started(robot, "look at the robot", None)
+        progress.announce(["pi3"], "look at the robot")
+        progress.step_started("pi3", "look at the robot", None)
+    assert err(screen) == "2 robots: look at the robot\npi2: look at the robot\npi3: look at the robot\n"
 
 
 def until(seen: Callable[[], bool]) -> None:

@@ -3,26 +3,22 @@ from __future__ import annotations
 import getpass
 import io
 import json
-import os
-import signal
 import socket
-import threading
-import time
 from typing import TYPE_CHECKING
 
 import pytest
 
 from fleet.cli.console import Screen
-from fleet.cli.execute import execute, keep_observing, observe, refuse, whoami
-from fleet.errors import FleetError, NotReady
+from fleet.cli.execute import execute, refuse, whoami
+from fleet.errors import NotReady
 from fleet.plan.step import Bytes, ImageArchive, Plan, Step
-from fleet.robot.facts import Facts
-from tests.support.homes import Home, Told, start
+from tests.support.homes import Home, start
 from tests.support.sshd import free_port
 
 if TYPE_CHECKING:
     from fleet.cli.execute import Planner
     from fleet.config.inventory import Robot
+    from fleet.robot.facts import Facts
     from tests.support.sshd import Sshds
 
 
@@ -72,7 +68,7 @@ def test_look_plan_do_and_tell(home: Home, away: Robot, screen: Screen) -> None:
     assert first.startswith("pi1  done         make a file, sent 5 B, ")
     assert second == f"pi2  unreachable  127.0.0.1 refuses connections to port {away.port}"
     assert "cure: " in cure
-    assert "pi1: look at the robot\n" in err
+    assert "2 robots: look at the robot\n" in err
     assert "pi1: write it (5 B)\n" in err
     assert err.endswith("1 done, 1 unreachable\n")
 
@@ -211,45 +207,6 @@ def test_planners_are_told_of_images_where_they_ask(home: Home, screen: Screen, 
 
     execute([home.robot], make, dry=False, json=False, screen=screen, images=images)
     assert python == [images]
-
-
-def test_what_many_robots_have_now(home: Home, away: Robot) -> None:
-    """Facts, or why there are none, in the order asked."""
-    seen = observe([away, home.robot], progress=Told())
-    assert list(seen) == ["pi2", "pi1"]
-    assert isinstance(seen["pi1"], Facts)
-    assert isinstance(seen["pi2"], FleetError)
-
-
-def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home) -> None:
-    """Over one connection, until Ctrl-C; a robot that goes away is seen to be away."""
-    seen: dict[str, Facts | FleetError] = {}
-
-    def releases() -> tuple[str, ...] | None:
-        now = seen.get("pi1")
-        return now.fleet.releases if isinstance(now, Facts) else None
-
-    def person() -> None:
-        def until(what: object) -> None:
-            end = time.monotonic() + 20
-            while releases() != what and time.monotonic() < end:
-                time.sleep(0.01)
-
-        until(())
-        (home.path / ".fleet/releases/abc").mkdir(parents=True)
-        until(("abc",))
-        told.append(home.logins)
-        home.server.stop()
-        until(None)
-        told.append(releases())
-        os.kill(os.getpid(), signal.SIGINT)
-
-    told: list[object] = []
-    thread = threading.Thread(target=person)
-    thread.start()
-    keep_observing([home.robot], seen, every=0.05, progress=Told())
-    thread.join()
-    assert told == [1, None]
 
 
 def test_only_bytes_that_a_plan_holds_need_no_opener() -> None:

@@ -13,7 +13,7 @@ from tests.support.samples import change, container, facts
 if TYPE_CHECKING:
     from fleet.robot.facts import Container, Facts
 
-GONE = Unreachable("pi1.local does not answer within 10 s", cure="does it have power?")
+GONE = Unreachable("pi1.local did not answer within 10 s", cure="does it have power?")
 WELL = facts(current="abc", releases=("abc",), containers=(container("abc"),))
 
 
@@ -138,7 +138,7 @@ def test_a_robots_state_for_programs() -> None:
 LINES = (
     "2026-11-23T12:00:00Z\tship\tabc\ttim@desktop\tdone",
     "garbage",
-    "2026-11-23T12:05:00Z\tship\tdef\ttim@desktop\tfailed: its disk is full",
+    "2026-11-23T12:05:00Z\tship\tdef\ttim@desktop\tfailed: the robot's disk is full",
 )
 
 
@@ -152,12 +152,15 @@ def test_a_robots_history_as_events_and_rows() -> None:
             verb="ship",
             release="def",
             by="tim@desktop",
-            outcome="failed: its disk is full",
+            outcome="failed: the robot's disk is full",
         ),
     )
     rows = [dict(zip(status.EVENT_COLUMNS, status.event_row("pi1", event), strict=True)) for event in told]
     assert rows[0]["when (UTC)"] == ("2026-11-23 12:00:00", "")
-    assert [row["outcome"] for row in rows] == [("done", "green"), ("failed: its disk is full", "red")]
+    assert [row["outcome"] for row in rows] == [
+        ("done", "green"),
+        ("failed: the robot's disk is full", "red"),
+    ]
     assert status.events(GONE) == ()
 
 

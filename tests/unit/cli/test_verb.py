@@ -43,7 +43,8 @@ def program(body: Callable[..., int | None], *words: str) -> int:
     GIVEN.clear()
     argv, sys.argv = sys.argv, ["fleet", *words]
     try:
-        verb.main(verb.collection((verb.verb({"what": "w"} if body is do else {})(body), look)))
+        verbs = (verb.verb({"what": "w"} if body is do else {})(body),)
+        verb.main(verb.collection(verbs, default=look), overview=lambda: "our page\n")
     except SystemExit as end:
         return int(end.code or 0)
     finally:

@@ -89,14 +89,14 @@ class Shelf:
 
 
 @pytest.fixture
-def shelf() -> Iterator[Shelf]:
+def shelf(desktop: None) -> Iterator[Shelf]:  # noqa: ARG001
     one = Shelf()
     yield one
     one.clear()
 
 
 @pytest.fixture
-def store() -> Iterator[Store]:
+def store(desktop: None) -> Iterator[Store]:  # noqa: ARG001
     with Store() as opened:
         yield opened
 
@@ -219,6 +219,7 @@ def test_no_engine_on_this_computer_is_one_sentence(address: str, monkeypatch: p
         Store()
 
 
+@pytest.mark.usefixtures("desktop")
 def test_the_engine_is_the_one_of_the_docker_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,3 +61,8 @@ def test_the_written_inventory_is_one_the_project_reads(tmp_path: Path) -> None:
     assert {Path(robot.docker.script).resolve() for robot in robots} == {recipe / "get-docker.sh"}
     assert {robot.identity_file for robot in robots} == {folder / "id_ed25519"}
     assert {robot.known_hosts for robot in robots} == {folder / "known_hosts"}
+
+
+def test_the_recipe_of_virtual_pis_is_there() -> None:
+    """`fab lab.up` builds from the repository's own folder."""
+    assert (lifecycle.RECIPE / "Dockerfile").is_file()

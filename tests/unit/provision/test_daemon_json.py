@@ -32,7 +32,7 @@ def test_rotation_is_set_where_nothing_is(said: str) -> None:
 
 
 def test_what_is_there_stays() -> None:
-    """Other settings are somebody's; only the two of rotation are the inventory's."""
+    """Other settings are the user's; only the two of rotation are the inventory's."""
     said = {"mtu": 1400, "log-opts": {"max-size": "1g", "labels": "x"}, "dns": ["1.1.1.1"], "größe": "ü"}
     assert written(json.dumps(said)) == {
         **said,

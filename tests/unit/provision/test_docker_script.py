@@ -57,8 +57,8 @@ def sends(body: bytes, *, announced: int | None = None) -> Callable[[BaseHTTPReq
     return answer
 
 
-def fetched(url: str, tmp_path: Path, *, sha256: str | None = None, patience: float = 20) -> bytes:
-    return docker_script.fetch(url, sha256=sha256, base=tmp_path, patience=patience)
+def fetched(url: str, tmp_path: Path, *, sha256: str | None = None, timeout: float = 20) -> bytes:
+    return docker_script.fetch(url, sha256=sha256, base=tmp_path, timeout=timeout)
 
 
 def test_a_url_is_fetched(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_a_download_that_breaks_off_is_refused(tmp_path: Path) -> None:
     """Also where what came ends at a line's end, and would pass for a script."""
     with (
         serving(sends(b"#!/bin/sh\necho hello\n", announced=5000)) as url,
-        pytest.raises(DesktopError, match="broke off after 21 bytes"),
+        pytest.raises(DesktopError, match="stopped after 21 bytes"),
     ):
         fetched(url, tmp_path)
 
@@ -105,7 +105,7 @@ def test_a_chunked_download_that_breaks_off_is_refused(tmp_path: Path) -> None:
             b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\na\r\n#!/bin/sh\n\r\n5\r\nec"
         )
 
-    with serving(half) as url, pytest.raises(DesktopError, match=r"broke off|cannot be fetched"):
+    with serving(half) as url, pytest.raises(DesktopError, match=r"stopped after|cannot be fetched"):
         fetched(url, tmp_path)
 
 
@@ -126,7 +126,7 @@ def test_a_slow_server_is_given_up(trickles: bool, tmp_path: Path) -> None:
     started = time.monotonic()
     with serving(slowly) as url:
         with pytest.raises(DesktopError, match=r"did not arrive within 0\.5 s"):
-            fetched(url, tmp_path, patience=0.5)
+            fetched(url, tmp_path, timeout=0.5)
         ended.set()
     assert time.monotonic() - started < 5
 
@@ -178,29 +178,29 @@ def test_a_pinned_script_passes(tmp_path: Path) -> None:
 
 
 def test_another_script_than_the_pinned_one_is_refused(tmp_path: Path) -> None:
-    """Its own checksum is told, so that a person who has read it can pin it."""
+    """The error names its checksum, so that a user who has read it can pin it."""
     (tmp_path / "x.sh").write_bytes(GOOD)
     with pytest.raises(UsageError, match=hashlib.sha256(GOOD).hexdigest()):
         fetched("x.sh", tmp_path, sha256="0" * 64)
 
 
 @pytest.mark.parametrize(
-    ("content", "trouble"),
+    ("content", "problem"),
     [
         (b"", "it is empty"),
         (b"\n \n", "it is empty"),
         (LOGIN_PAGE, "it begins with '<!DOCTYPE html>"),
-        (b"#!/bin/sh\necho \0\n", "it holds binary data"),
+        (b"#!/bin/sh\necho \0\n", "it contains binary data"),
         (b"#!/bin/sh\nif true; then\n  echo\n", "sh:"),
         (b"#!/bin/sh\ncase x in\n", "sh:"),
     ],
 )
-def test_what_is_no_whole_script_is_refused(content: bytes, trouble: str, tmp_path: Path) -> None:
+def test_what_is_no_whole_script_is_refused(content: bytes, problem: str, tmp_path: Path) -> None:
     """A network's login page has the address and the status of the real thing."""
     (tmp_path / "x.sh").write_bytes(content)
     with pytest.raises(UsageError) as refused:
         fetched("x.sh", tmp_path)
-    assert f"x.sh is not a whole shell script: {trouble}" in refused.value.what
+    assert f"x.sh is not a complete shell script: {problem}" in refused.value.what
 
 
 def test_a_login_page_over_the_network_has_a_cure(tmp_path: Path) -> None:

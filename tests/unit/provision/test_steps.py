@@ -52,13 +52,13 @@ def planned(facts: Facts, *, of: Robot | None = None) -> Plan:
 
 def titles(plan: Plan) -> list[str]:
     """What is changed: the steps before the proofs."""
-    found = [step.title for step in plan.steps]
-    return found[: found.index("prove that Docker answers this login")] if found else []
+    every = [step.title for step in plan.steps]
+    return every[: every.index("prove that Docker answers this login")] if every else []
 
 
 def step(plan: Plan, title: str) -> Step:
-    (found,) = (step for step in plan.steps if step.title.startswith(title))
-    return found
+    (match,) = (step for step in plan.steps if step.title.startswith(title))
+    return match
 
 
 def test_a_blank_robot_gets_everything_in_a_safe_order() -> None:
@@ -66,10 +66,10 @@ def test_a_blank_robot_gets_everything_in_a_safe_order() -> None:
     plan = planned(BLANK)
     assert titles(plan) == [
         "keep 3 log files of 10m per container",
-        "see that it reaches its package archive",
+        "check that the robot reaches its package archive",
         "send Docker's script (https://get.docker.com)",
         "install Docker, which takes minutes",
-        "prove that the script installed it",
+        "prove that the script installed Docker",
         "remove the script",
         "let pi use Docker",
         "start Docker now and at every boot",
@@ -101,7 +101,7 @@ def test_a_ready_robot_needs_no_rights() -> None:
         ({"docker_state": "stopped", "docker_version": ""}, ["start Docker now and at every boot"]),
         (
             {"docker_state": "stopped", "docker_version": "", "interrupted": True},
-            ["finish what dpkg was stopped in", "start Docker now and at every boot"],
+            ["complete an interrupted installation of packages", "start Docker now and at every boot"],
         ),
         ({"interrupted": True}, []),
         ({"starts_at_boot": False}, ["start Docker now and at every boot"]),
@@ -109,12 +109,15 @@ def test_a_ready_robot_needs_no_rights() -> None:
             {"docker_state": "forbidden", "docker_version": "", "groups": ("pi",), "members": ()},
             ["let pi use Docker", "start Docker now and at every boot"],
         ),
-        ({"compose": ""}, ["see that it reaches its package archive", "install Docker's Compose plugin"]),
+        (
+            {"compose": ""},
+            ["check that the robot reaches its package archive", "install Docker's Compose plugin"],
+        ),
         (
             {"compose": "", "interrupted": True},
             [
-                "see that it reaches its package archive",
-                "finish what dpkg was stopped in",
+                "check that the robot reaches its package archive",
+                "complete an interrupted installation of packages",
                 "install Docker's Compose plugin",
             ],
         ),
@@ -156,8 +159,11 @@ def test_sending_the_script_keeps_its_promise(tmp_path: Path) -> None:
     """The very argv, run by a real shell, writes the file and prints the proof."""
     send = step(planned(BLANK), "send Docker's script")
     assert send.feed is not None
-    said = subprocess.run(send.argv, input=SCRIPT, cwd=tmp_path, capture_output=True, check=True).stdout
-    assert (said.decode().strip(), (tmp_path / ".fleet/get-docker.sh").read_bytes()) == (send.expect, SCRIPT)
+    output = subprocess.run(send.argv, input=SCRIPT, cwd=tmp_path, capture_output=True, check=True).stdout
+    assert (output.decode().strip(), (tmp_path / ".fleet/get-docker.sh").read_bytes()) == (
+        send.expect,
+        SCRIPT,
+    )
 
 
 def test_a_pin_goes_to_the_script_and_is_proved() -> None:
@@ -177,8 +183,8 @@ def test_values_are_arguments_and_never_shell_text() -> None:
 def test_what_a_failed_installation_left_is_removed_before_and_after() -> None:
     """A poisoned package source makes every later apt-get update fail."""
     plan = planned(change(BLANK, docker_source=True))
-    assert titles(plan)[2] == "forget Docker's package source"
-    assert [step.title for step in plan.recover] == ["forget Docker's package source"]
+    assert titles(plan)[2] == "remove Docker's package source"
+    assert [step.title for step in plan.recover] == ["remove Docker's package source"]
 
 
 def test_packages_that_clash_go_first() -> None:
@@ -197,7 +203,7 @@ def test_debians_engine_without_its_client_gets_the_client() -> None:
 def test_every_step_is_bounded() -> None:
     """The script can hang for ever; the bound on the robot ends before the desktop gives up on it."""
     plan = steps.plan(
-        robot=robot(), facts=BLANK, script=SCRIPT, now=NOW, by="", bounds=apt.Bounds(patience=5, limit=7)
+        robot=robot(), facts=BLANK, script=SCRIPT, now=NOW, by="", bounds=apt.Bounds(lock_timeout=5, limit=7)
     )
     assert all(step.limit for step in plan.steps)
     assert (step(plan, "install Docker").argv[-5:-2], step(plan, "install Docker").limit) == (
@@ -217,7 +223,7 @@ def test_a_dry_run_shows_script_and_settings() -> None:
     ("facts", "docker", "what", "cure"),
     [
         ({"sudo": "password"}, {}, "sudo asks pi for a password", "pi ALL=(ALL) NOPASSWD: ALL"),
-        ({"sudo": "none"}, {}, "pi is not root, and there is no sudo", "user: root"),
+        ({"sudo": "none"}, {}, "pi is not root, and sudo is not installed", "user: root"),
         (
             {"userland": "armhf"},
             {},
@@ -230,8 +236,18 @@ def test_a_dry_run_shows_script_and_settings() -> None:
             "it runs linux/amd64, and the inventory says linux/arm64",
             "set `platform: linux/amd64` for pi1",
         ),
-        ({"userland": "riscv64", "machine": "riscv64"}, {}, "its processor is riscv64", ""),
-        ({"userland": "armhf", "machine": "armv6l"}, {}, "its processor is armv6l", ""),
+        (
+            {"userland": "riscv64", "machine": "riscv64"},
+            {},
+            "there are no images for its processor (riscv64)",
+            "",
+        ),
+        (
+            {"userland": "armhf", "machine": "armv6l"},
+            {},
+            "there are no images for its processor (armv6l)",
+            "",
+        ),
         ({"disk_free": 900_000_000}, {}, "it needs 1.0 GB of free disk, and has 900 MB", "apt-get clean"),
         ({"daemon_config": "{ bad"}, {}, "/etc/docker/daemon.json is not JSON", "sudo nano"),
         (

@@ -8,7 +8,7 @@ from fleet.robot.facts import Facts, Login
 
 
 def test_sudo_is_told_not_to_ask() -> None:
-    """A question that nobody sees would hang."""
+    """A prompt for a password would hang."""
     assert sudo.as_root(Facts(login=Login(sudo="free")), "date") == ("sudo", "-n", "date")
 
 

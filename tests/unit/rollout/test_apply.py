@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import DesktopError, Unreachable
+from fleet.errors import DesktopError
+from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step
-from fleet.rollout import apply as applying
-from fleet.rollout.apply import UNUSABLE, apply, look
+from fleet.rollout import reconnect
+from fleet.rollout.apply import apply
 from fleet.rollout.link import Link
 from fleet.rollout.pool import each
 from tests.support.homes import Home, Told, start
@@ -156,7 +157,10 @@ def test_a_step_is_believed_by_its_proof_only(home: Home, script: str, expect: s
     assert outcome.status == ("done" if proven else "failed")
     if not proven:
         said = {"echo inactive": "'inactive'", "true": "'nothing'"}.get(script, "'two'")
-        assert (outcome.reason, outcome.cure) == (f"the proof fails: it says {said}", "run it again")
+        assert (outcome.reason, outcome.cure) == (
+            f"the check after this step failed: it printed {said}",
+            "run it again",
+        )
 
 
 def test_a_proof_comes_after_what_login_scripts_print(sshds: Sshds) -> None:
@@ -178,9 +182,9 @@ def test_a_step_that_takes_too_long_is_ended_and_recovered_from(home: Home) -> N
     )
     outcome = applied(home, plan)
     assert (outcome.status, outcome.step) == ("failed", "hang")
-    assert outcome.reason == "`sh` took longer than 1 s and was ended on the robot\n(went back: back)"
+    assert outcome.reason == "`sh` took longer than 1 s and was stopped on the robot\n(went back: back)"
     assert (home.path / "recovered").exists()
-    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was ended on the robot"
+    assert home.history[0][-1] == "failed: `sh` took longer than 1 s and was stopped on the robot"
     assert home.logins == 2
 
 
@@ -307,7 +311,7 @@ class Away:
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lost link is tried again sooner than people would want it."""
-    monkeypatch.setattr(applying, "_PAUSES", (0.1, 0.2))
+    monkeypatch.setattr(reconnect, "_PAUSES", (0.1, 0.2))
 
 
 LASTS = "echo >> began; test $(wc -l < began) -gt 1 || sleep 20; echo through"
@@ -348,7 +352,7 @@ def test_a_step_that_does_not_resume_is_not_run_again(home: Home) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_retrying_ends(home: Home) -> None:
+def test_a_lost_connection_is_retried_for_so_long_only(home: Home) -> None:
     """A robot that stays away is told as such, and what to do."""
     away = Away(home, times=1, back=False)
     steps = (replace(sh(LASTS, title="go on"), resumes=True), sh("touch never"))
@@ -378,27 +382,6 @@ def test_retrying_counts_from_the_last_byte_that_left(home: Home) -> None:
     outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=slow, retry_for=0.9)
     away.end()
     assert (outcome.status, outcome.sent, away.attempts) == ("done", 4 * 9, 4)
-
-
-@pytest.mark.usefixtures("hurried")
-def test_a_look_goes_on_when_the_robot_is_back(home: Home) -> None:
-    """Its link was lost while it was asked: it is asked again, which is told."""
-    link, told = Link(home.robot), Told()
-    link.session.close()
-    assert look(link, images=False, watch=told).fleet.releases == ()
-    link.close()
-    assert told.said == [
-        ("pi1", "the connection was lost before the command started; trying again for 3 min")
-    ]
-
-
-def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
-    """It may be switched off, and others are waiting for the answer."""
-    home.server.stop()
-    link, told = Link(home.robot), Told()
-    with pytest.raises(Unreachable):
-        look(link, images=False, progress=told)
-    assert told.said == []
 
 
 @pytest.mark.usefixtures("hurried")

@@ -17,7 +17,7 @@ def home(sshds: Sshds) -> Home:
     return start(sshds, "pi1")
 
 
-def test_a_line_connects_once_and_afresh_when_asked(home: Home) -> None:
+def test_a_link_connects_once_and_again_when_asked(home: Home) -> None:
     """All commands to a robot share a connection; group membership needs a new one."""
     link = Link(home.robot)
     assert home.logins == 0
@@ -35,7 +35,7 @@ def test_a_command_that_fails_is_explained(home: Home) -> None:
     """What it means where that is known, its own last words where not, its name where it said nothing."""
     link = Link(home.robot)
     for script, what in (
-        ("echo 'write x: no space left on device' >&2; exit 3", "its disk is full"),
+        ("echo 'write x: no space left on device' >&2; exit 3", "the robot's disk is full"),
         ("echo 'some new trouble' >&2; exit 3", "some new trouble"),
         ("exit 3", "`sh` ended with code 3"),
     ):
@@ -49,7 +49,7 @@ def test_the_facts_of_a_robot(sshds: Sshds) -> None:
     """One round trip; what its login scripts print is kept apart."""
     home = start(sshds, "pi1", before="echo Welcome")
     (home.path / ".fleet/releases/abc").mkdir(parents=True)
-    line = Link(home.robot)
+    link = Link(home.robot)
     seen = link.facts()
     link.close()
     assert (seen.fleet.releases, seen.login.noise, seen.login.name) == (("abc",), "Welcome", home.robot.user)

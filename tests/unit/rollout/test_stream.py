@@ -176,7 +176,7 @@ def test_so_many_messages_of_a_topic(talker: Robot) -> None:
     """Each line of a message under the robot's name; it ends when all are there."""
     printed = Printed()
     (outcome,) = stream.topics([talker], "/time", count=2, timeout=5, printer=printed, progress=Told())
-    assert (outcome.status, outcome.summary) == ("done", "heard 2 messages on /time")
+    assert (outcome.status, outcome.summary) == ("done", "received 2 messages on /time")
     assert len(printed.of("pi1")) >= 2
     assert printed.of("pi1")[0] == 'data: "one"'
 

@@ -30,7 +30,7 @@ def other_key(tmp_path: Path) -> Path:
 
 
 def looked(*servers: Sshd) -> tuple[Offer, ...]:
-    offers, missing = trust.look([server.robot() for server in servers], progress=Told())
+    offers, missing = trust.offered_keys([server.robot() for server in servers], progress=Told())
     assert missing == ()
     return offers
 
@@ -90,7 +90,7 @@ def test_robots_that_cannot_be_asked_do_not_keep_the_others_from_it(sshds: Sshds
     """Offers of those that answer, in order; outcomes of those that do not."""
     second = sshds.start("pi3", trusted=False)
     away = server.robot().model_copy(update={"name": "pi2", "port": free_port()})
-    offers, missing = trust.look([second.robot(), away, server.robot()], progress=Told())
+    offers, missing = trust.offered_keys([second.robot(), away, server.robot()], progress=Told())
     assert [offer.robot.name for offer in offers] == ["pi3", "pi1"]
     assert statuses(missing) == {"pi2": "unreachable"}
 

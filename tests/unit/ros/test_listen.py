@@ -92,8 +92,8 @@ def test_nodes_that_listen_to_their_robot_only() -> None:
     refused = tcpros.NoConnection("10.0.0.1", 11311, os.strerror(errno.ECONNREFUSED))
     pi1 = Robot(name="pi1", address="10.0.0.1", ros=Ros(hostname="localhost"))
     problem = listen.no_master(refused, robot=pi1, master="http://10.0.0.1:11311")
-    assert problem.what == "the ROS nodes of pi1 call themselves localhost, and so listen to pi1 only"
-    assert problem.cure == "set ros.ip of pi1 to 10.0.0.1, and ship it"
+    assert problem.what == "the ROS nodes of pi1 call themselves localhost, so only pi1 itself can reach them"
+    assert problem.cure == "set ros.ip of pi1 to 10.0.0.1, then run `fab ship`"
 
 
 def test_master_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,7 +109,7 @@ def test_master_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
         began = time.monotonic()
         problem = failure(robot(full.getsockname()[1]))
     assert isinstance(problem, Unreachable)
-    assert "out of reach (no answer)" in problem.what
+    assert "cannot be reached (no answer)" in problem.what
     assert time.monotonic() - began < 5
 
 
@@ -117,13 +117,13 @@ def test_master_that_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stopped process still accepts connections; it is not waited for."""
     monkeypatch.setattr(listen, "STEP", 0.5)
     with serving(lambda _: time.sleep(60)) as port:
-        assert "answers nothing" in failure(robot(port)).what
+        assert "does not answer" in failure(robot(port)).what
 
 
 def test_something_else_on_the_masters_port() -> None:
     """Another XML-RPC server is not mistaken for a master."""
     with answering({"getSystemState": lambda _: [1, "", 3]}) as port:
-        assert "no ROS master that works" in failure(robot(port)).what
+        assert "is not a working ROS master" in failure(robot(port)).what
 
 
 def test_mistyped_topic(peers: Peers) -> None:
@@ -147,7 +147,7 @@ def test_topic_without_publisher(peers: Peers) -> None:
     """A topic that somebody waits for exists, and nobody serves it."""
     peers.subscribers = [["/cmd", ["/wheels"]]]
     problem = failure(robot(peers.master_port), "/cmd")
-    assert problem.what == "nobody publishes /cmd, though /wheels listens to it"
+    assert problem.what == "no node publishes /cmd, although /wheels subscribes to it"
 
 
 def test_node_name_does_not_resolve(peers: Peers) -> None:
@@ -155,10 +155,7 @@ def test_node_name_does_not_resolve(peers: Peers) -> None:
     peers.called = "nobody.invalid"
     problem = failure(robot(peers.master_port, hostname="nobody.invalid"))
     assert isinstance(problem, NotAsPlanned)
-    assert (
-        "node /talker tells others to call it nobody.invalid, a name that does not resolve here"
-        in problem.what
-    )
+    assert "node /talker registered as nobody.invalid, a name that does not resolve here" in problem.what
     assert problem.cure.startswith("set ros.ip of pi1 to ")
 
 
@@ -167,22 +164,24 @@ def test_node_calls_itself_localhost(outside: str) -> None:
     with Peers(host=outside, called="localhost").run() as peers:
         problem = failure(robot(peers.master_port, address=outside, hostname="localhost"))
     assert isinstance(problem, NotAsPlanned)
-    assert "call it localhost, which (127.0.0.1 here) is this computer itself" in problem.what
-    assert problem.cure == f"set ros.ip of pi1 to {outside}, and ship it"
+    assert "registered as localhost, which (127.0.0.1 here) is this computer itself" in problem.what
+    assert problem.cure == f"set ros.ip of pi1 to {outside}, then run `fab ship`"
 
 
 def test_node_calls_itself_by_another_machines_address(outside: str) -> None:
     """An address where the robot is not is named, with the one where it is."""
     with Peers(host="127.0.0.1", called=outside).run() as peers:
         problem = failure(robot(peers.master_port, hostname=outside))
-    assert f"call it {outside}, which is not where pi1 is" in problem.what
+    assert f"registered as {outside}, which is not where pi1 is" in problem.what
     assert problem.cure.startswith("set ros.ip of pi1")
 
 
 def test_node_runs_with_an_older_name_than_the_inventory_has(peers: Peers) -> None:
     """What was shipped and what the inventory says by now may differ."""
     peers.called = "nobody.invalid"
-    assert failure(robot(peers.master_port)).cure == "the inventory says 127.0.0.1: `fab ship --hosts pi1`"
+    assert (
+        failure(robot(peers.master_port)).cure == "the inventory says 127.0.0.1: run `fab ship --hosts pi1`"
+    )
 
 
 def test_node_registered_and_gone(peers: Peers) -> None:
@@ -191,7 +190,7 @@ def test_node_registered_and_gone(peers: Peers) -> None:
         peers.node_port = listener.getsockname()[1]
     problem = failure(robot(peers.master_port))
     assert isinstance(problem, Unreachable)
-    assert "node /talker is registered and gone" in problem.what
+    assert "node /talker is registered but does not run" in problem.what
     assert "fab restart --hosts pi1" in problem.cure
 
 
@@ -214,7 +213,7 @@ def test_publisher_hangs_up(peers: Peers) -> None:
     peers.hang_up = True
     arriving = listen.messages(robot(peers.master_port), "/time", timeout=5)
     assert [next(arriving), next(arriving)] == ['data: "noon"', 'data: "later"']
-    with pytest.raises(LinkLost, match="hung up"):
+    with pytest.raises(LinkLost, match="closed the connection"):
         next(arriving)
 
 
@@ -234,7 +233,7 @@ def test_shared_master_own_node_is_chosen() -> None:
 def test_shared_master_without_the_robots_own_node() -> None:
     """Another robot's messages are never shown as this one's."""
     pi3 = Robot(name="pi3", address="10.0.0.3", ros=Ros(master="http://base:11311"))
-    with pytest.raises(NotAsPlanned, match=r"published by /talker at 10\.0\.0\.1, and not by pi3"):
+    with pytest.raises(NotAsPlanned, match=r"published by /talker at 10\.0\.0\.1, not by pi3"):
         listen.own_node({"/talker": "http://10.0.0.1:4000/"}, "/time", robot=pi3)
 
 
@@ -243,4 +242,6 @@ def test_shared_master_unreachable() -> None:
     pi1 = Robot(name="pi1", address="10.0.0.1", ros=Ros(master="http://base:11311"))
     refused = tcpros.NoConnection("base", 11311, "Connection refused")
     problem = listen.no_master(refused, robot=pi1, master="http://base:11311")
-    assert problem.cure == "ros.master of pi1 names it: is it started, and reachable from here?"
+    assert (
+        problem.cure == "check that it runs, and that this computer can reach it (ros.master of pi1 names it)"
+    )

@@ -109,7 +109,7 @@ def test_the_same_lines_speak_of_a_host_as_for_ssh_keygen(
     theirs = [
         part.split("line ")[1].split()[0] for part in said.stdout.splitlines() if part.startswith("# Host ")
     ]
-    ours = [entry.where.rpartition(":")[2] for entry in known_hosts.read((path,)).about(name)]
+    ours = [entry.where.rpartition(":")[2] for entry in known_hosts.read((path,)).entries(name)]
     assert ours == theirs
 
 
@@ -117,7 +117,7 @@ def test_read_takes_the_files_that_are_there(tmp_path: Path) -> None:
     """Files that do not exist are no error; where a key is written is told."""
     path = tmp_path / "known_hosts"
     path.write_text("\n" + line("pi1", key()) + "\r\n", encoding="utf-8")
-    entries = known_hosts.read((tmp_path / "none", path, path / "below")).about("pi1")
+    entries = known_hosts.read((tmp_path / "none", path, path / "below")).entries("pi1")
     assert [entry.where for entry in entries] == [f"{path}:2"]
 
 
@@ -167,7 +167,7 @@ def test_record_says_what_it_cannot_write(tmp_path: Path) -> None:
     ("lines", "jump", "words"),
     [
         ([], False, ["not known yet", key().fingerprint, "fab trust"]),
-        ([], True, ["not known yet", "`ssh` to that jump host once"]),
+        ([], True, ["not known yet", "connect to that jump host once with `ssh`"]),
         (
             [line("x", key(2)), line("pi1", key(2))],
             False,

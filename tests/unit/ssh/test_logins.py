@@ -97,7 +97,7 @@ def test_too_many_keys_are_told_as_such(sshds: Sshds) -> None:
     server = sshds.start(options=("MaxAuthTries 3",))
     with agent(sshds.folder, *keys) as path:
         sshds.configure(f"Host robot\n HostName 127.0.0.1\n Port {server.port}\n IdentityAgent {path}")
-        with pytest.raises(LoginRefused, match=r"ends the login.*identity_file"):
+        with pytest.raises(LoginRefused, match=r"ended the login.*identity_file"):
             connect.connect(server.robot(address="robot"), config=sshds.config)
 
 
@@ -114,14 +114,14 @@ def test_a_login_by_password_only_is_refused_with_the_cure(sshds: Sshds) -> None
     server = sshds.start(options=("PubkeyAuthentication no", "PasswordAuthentication yes"))
     sshds.configure(f"Host robot\n  HostName 127.0.0.1\n  Port {server.port}")
     for robot in (server.robot(), server.robot(address="robot")):
-        with pytest.raises(LoginRefused, match=r"by password only.*ssh-copy-id"):
+        with pytest.raises(LoginRefused, match=r"accepts only password.*ssh-copy-id"):
             connect.connect(robot, config=sshds.config)
 
 
 def test_a_login_that_wants_more_than_a_key_is_refused(sshds: Sshds) -> None:
     """A key that is taken, and not enough, is not a login."""
     server = sshds.start(options=("AuthenticationMethods publickey,password", "PasswordAuthentication yes"))
-    with pytest.raises(LoginRefused, match="wants password as well"):
+    with pytest.raises(LoginRefused, match="also requires password"):
         sshds.log_in(server)
 
 

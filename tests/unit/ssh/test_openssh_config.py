@@ -143,19 +143,19 @@ def test_no_jump_is_none(config: Path) -> None:
     ("text", "words"),
     [
         ("Bogus yes\n", "Bad configuration option: bogus"),
-        ("Host a\n  ProxyJump b\nHost b\n  ProxyJump a\nHost pi1\n  ProxyJump a\n", "round in circles"),
+        ("Host a\n  ProxyJump b\nHost b\n  ProxyJump a\nHost pi1\n  ProxyJump a\n", "forms a loop"),
         ("Host *\n  ProxyJump gate\n", "jumphost loop via gate"),
     ],
 )
 def test_a_configuration_that_cannot_work_is_told(config: Path, text: str, words: str) -> None:
     """In OpenSSH's own words where it has some."""
-    with pytest.raises(Unreachable, match=f"{words}.*mend"):
+    with pytest.raises(Unreachable, match=f"{words}.*fix"):
         resolve(config, text)
 
 
 def test_an_address_is_never_an_option(config: Path) -> None:
     """Whatever an inventory says."""
-    with pytest.raises(Unreachable, match="refuses its configuration"):
+    with pytest.raises(Unreachable, match="rejects its configuration"):
         resolve(config, "", robot(address="-oProxyCommand=touch /tmp/x"))
 
 

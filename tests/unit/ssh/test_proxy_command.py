@@ -60,8 +60,8 @@ def test_its_last_words_are_kept(command: str, said: str) -> None:
     while sock.recv(1 << 16):
         pass
     sock.close()
-    assert said in sock.said
-    assert bool(said) == bool(sock.said)
+    assert said in sock.last_error
+    assert bool(said) == bool(sock.last_error)
 
 
 def test_it_has_no_terminal_to_ask() -> None:

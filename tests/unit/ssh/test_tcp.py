@@ -39,7 +39,7 @@ def test_a_name_with_two_addresses_is_tried_on_both() -> None:
 def test_a_refused_connection_is_told() -> None:
     """The robot is there, its sshd is not."""
     port = free_port()
-    with pytest.raises(Unreachable, match=f"127.0.0.1 refuses connections to port {port}; is sshd"):
+    with pytest.raises(Unreachable, match=f"127.0.0.1 refuses connections to port {port}; check that sshd"):
         connect("127.0.0.1", port)
 
 
@@ -58,7 +58,7 @@ def test_a_host_that_swallows_everything_is_given_up() -> None:
             sock.setblocking(False)
             assert sock.connect_ex(full.getsockname()) in (0, errno.EINPROGRESS)
         started = time.monotonic()
-        with pytest.raises(Unreachable, match=r"127.0.0.1 does not answer within 0.5 s"):
+        with pytest.raises(Unreachable, match=r"127.0.0.1 did not answer within 0.5 s"):
             connect("127.0.0.1", full.getsockname()[1], connect_timeout=0.5)
         assert time.monotonic() - started < 2
         for sock in waiting:

@@ -83,7 +83,7 @@ pytestmark = pytest.mark.skipif(bool(wifi.why_not()), reason=wifi.why_not())
 
 
 @pytest.fixture
-def robots() -> Iterator[Mapping[str, int]]:
+def robots(desktop: None) -> Iterator[Mapping[str, int]]:  # noqa: ARG001
     """Two network namespaces, as the processes that hold them."""
     with contextlib.ExitStack() as stack:
         pids = {}

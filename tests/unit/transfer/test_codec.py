@@ -23,7 +23,7 @@ LAYER = noise(7, 40_000) + bytes(9_000_000) + noise(8, 300_000) * 12
 
 
 def packed(data: bytes, encoding: Encoding, *, sizes: list[int] | None = None) -> bytes:
-    """Pack in pieces of these sizes, over and over; in one piece for none."""
+    """Pack in chunks of these sizes, over and over; in one chunk without sizes."""
     compressor, out, at = Compressor(encoding), b"", 0
     for size in itertools.cycle(sizes or [max(1, len(data))]):
         if at >= len(data):
@@ -49,13 +49,13 @@ def test_packed_bytes_are_what_they_were(data: bytes) -> None:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("sizes", [[1 << 20], [65536], [1_000_003], [7, 3_000_000], [9_999_999]])
-def test_pieces_do_not_show(encoding: Encoding, sizes: list[int]) -> None:
-    """A layer that comes in other pieces, and at another time, is packed into the same bytes."""
+def test_chunks_do_not_show(encoding: Encoding, sizes: list[int]) -> None:
+    """A layer that comes in other chunks, and at another time, is packed into the same bytes."""
     assert packed(LAYER, encoding, sizes=sizes) == packed(LAYER, encoding)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_an_empty_piece_does_not_show(encoding: Encoding) -> None:
+def test_an_empty_chunk_does_not_show(encoding: Encoding) -> None:
     """Before the first byte it would otherwise start a frame of unknown size."""
     compressor = Compressor(encoding)
     assert compressor.compress(b"") + compressor.flush() == packed(b"", encoding)
@@ -63,11 +63,11 @@ def test_an_empty_piece_does_not_show(encoding: Encoding) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.binary(max_size=300)), st.sampled_from(ENCODINGS))
-def test_any_pieces_do_not_show(pieces: list[bytes], encoding: Encoding) -> None:
+def test_any_chunks_do_not_show(chunks: list[bytes], encoding: Encoding) -> None:
     """Short ones, empty ones, none at all."""
     compressor = Compressor(encoding)
-    inside = b"".join(map(compressor.compress, pieces)) + compressor.flush()
-    assert inside == packed(b"".join(pieces), encoding)
+    inside = b"".join(map(compressor.compress, chunks)) + compressor.flush()
+    assert inside == packed(b"".join(chunks), encoding)
 
 
 def test_gzip_tells_no_time() -> None:
@@ -83,8 +83,9 @@ def test_far_repetitions_cost_next_to_nothing() -> None:
     assert len(packed(data, "zstd")) > 1.9 * len(piece)
 
 
+@pytest.mark.usefixtures("desktop")  # it takes long
 def test_a_robot_unpacks_with_the_memory_that_is_promised() -> None:
-    """`zstd` needs 8 MiB; the long one 64, which `zstd -d` takes without being told to, and not 32."""
+    """`zstd` needs 8 MiB; the long one 64, which `zstd -d` takes without --memory, and not 32."""
     data = noise(2, 1 << 20) * 20 + bytes(130 << 20)
     unpacked(packed(data, "zstd"), "--memory=8MB")
     unpacked(packed(data, "zstd-long"))

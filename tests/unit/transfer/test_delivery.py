@@ -26,9 +26,9 @@ BASE, CODE = layer(1), layer(2)
 TALKER = Handmade(layers=(BASE, CODE))
 BLOBS = {blob.diff_id: blob for blob, _ in map(packed, (BASE, CODE))}
 LOW, HIGH = TALKER.diff_ids
-SHIPMENT = TransferRun(to="pi1.local", token="token", by="tim@desktop")  # noqa: S106  of a run
+RUN = TransferRun(to="pi1.local", token="token", by="tim@desktop")  # noqa: S106  of a run
 PROVE = Step(
-    title="prove that what arrived is what was sent",
+    title="prove that the image arrived unchanged",
     argv=("docker", "image", "inspect", "--format", IDENTITY, TALKER.image.shipped_as),
     expect=TALKER.image.identity,
     harmless=True,
@@ -67,18 +67,18 @@ def delivered(
         name: replace(blob, unpacked=unpacked or blob.unpacked, size=size or blob.size)
         for name, blob in BLOBS.items()
     }
-    return delivery.pieces(
+    return delivery.layers(
         [(TALKER.image, TALKER.wanted)],
-        lack=MissingLayers(send=send, there={}, layers=2),
+        missing=MissingLayers(send=send, there={}, layers=2),
         packed={name: blobs[name] for name in send},
-        made={},
+        rebuilt={},
         facts=seen,
-        shipment=replace(SHIPMENT, rate=rate),
+        run=replace(RUN, rate=rate),
     )
 
 
-def parcel(made: Delivery) -> UploadBatch:
-    feed = made.steps[0].feed
+def batch(delivered_: Delivery) -> UploadBatch:
+    feed = delivered_.steps[0].feed
     assert isinstance(feed, UploadBatch)
     return feed
 
@@ -107,7 +107,7 @@ def test_how_layers_are_packed_for_a_robot(docker: str, memory: int, encoding: s
 
 @pytest.mark.parametrize("containerd", [False, True])
 @pytest.mark.parametrize(
-    ("way", "sends"),
+    ("strategy", "sends"),
     [
         ("patches", (HIGH,)),
         ("missing layers", (HIGH,)),
@@ -115,55 +115,59 @@ def test_how_layers_are_packed_for_a_robot(docker: str, memory: int, encoding: s
         ("plain stream", (LOW, HIGH)),
     ],
 )
-def test_the_ways_of_sending(way: Strategy, sends: tuple[str, ...], containerd: bool) -> None:
-    """First what the robot says it has is believed; where that led to nothing, none of it is."""
+def test_the_layers_that_each_strategy_sends(
+    strategy: Strategy, sends: tuple[str, ...], containerd: bool
+) -> None:
+    """At first the robot's list of layers is used; if that fails, it is ignored."""
     seen = robot(containerd=containerd, stock=ImageStore(chains=((LOW,),), manifests=((BLOBS[LOW],),)))
-    lack = delivery.lack([TALKER.image], seen, way=way)
-    assert lack.send == sends
-    assert lack.there == ({LOW: BLOBS[LOW]} if containerd and sends == (HIGH,) else {})
+    missing = delivery.missing([TALKER.image], seen, strategy=strategy)
+    assert missing.send == sends
+    assert missing.there == ({LOW: BLOBS[LOW]} if containerd and sends == (HIGH,) else {})
 
 
 def test_the_ladder() -> None:
-    """Each way needs less of the robot than the one before."""
+    """Each strategy needs less of the robot than the one before."""
     assert STRATEGIES == ("patches", "missing layers", "all layers", "plain stream")
 
 
 def test_the_layers_of_an_image() -> None:
-    """The frame and each layer are pieces of one parcel; then the image is proved under its name."""
-    made = delivered(robot())
-    frame = load_archive.frame([TALKER.wanted], blobs=BLOBS, sent=[BLOBS[LOW], BLOBS[HIGH]])
-    first, *others = parcel(made).pieces
-    assert (first.data, first.digest, first.size) == (frame.data, frame.hex, len(frame.data))
-    assert [(piece.digest, piece.size, piece.data) for piece in others] == [
+    """The skeleton and each layer are uploads of one batch; then the image is proved under its name."""
+    delivered_ = delivered(robot())
+    skeleton = load_archive.skeleton([TALKER.wanted], blobs=BLOBS, sent=[BLOBS[LOW], BLOBS[HIGH]])
+    first, *others = batch(delivered_).pieces
+    assert (first.data, first.digest, first.size) == (skeleton.data, skeleton.hex, len(skeleton.data))
+    assert [(upload.digest, upload.size, upload.data) for upload in others] == [
         (BLOBS[one].hex, BLOBS[one].size, None) for one in (LOW, HIGH)
     ]
-    assert made.steps == (
+    assert delivered_.steps == (
         receive.step(
-            parcel(made),
-            frame,
+            batch(delivered_),
+            skeleton,
             [BLOBS[LOW], BLOBS[HIGH]],
             {},
             title="send 2 of 2 layers",
-            shipment=SHIPMENT,
+            run=RUN,
         ),
         PROVE,
     )
-    assert (parcel(made).to, parcel(made).label) == ("pi1.local", "2 of 2 layers")
+    assert (batch(delivered_).to, batch(delivered_).label) == ("pi1.local", "2 of 2 layers")
 
 
 def test_layers_that_are_there_are_named_by_what_the_robot_knows() -> None:
-    """On containerd's store by the blob of its receipt, and that is not sent."""
+    """On containerd's store by the blob of its recorded manifest, which is not sent."""
     known = replace(BLOBS[LOW], digest=f"sha256:{'e' * 64}")
-    made = delivery.pieces(
+    delivered_ = delivery.layers(
         [(TALKER.image, TALKER.wanted)],
-        lack=MissingLayers(send=(HIGH,), there={LOW: known}, layers=2),
+        missing=MissingLayers(send=(HIGH,), there={LOW: known}, layers=2),
         packed={HIGH: BLOBS[HIGH]},
         facts=robot(containerd=True),
-        made={},
-        shipment=SHIPMENT,
+        rebuilt={},
+        run=RUN,
     )
-    frame = load_archive.frame([TALKER.wanted], blobs={LOW: known, HIGH: BLOBS[HIGH]}, sent=[BLOBS[HIGH]])
-    assert [piece.digest for piece in parcel(made).pieces] == [frame.hex, BLOBS[HIGH].hex]
+    skeleton = load_archive.skeleton(
+        [TALKER.wanted], blobs={LOW: known, HIGH: BLOBS[HIGH]}, sent=[BLOBS[HIGH]]
+    )
+    assert [upload.digest for upload in batch(delivered_).pieces] == [skeleton.hex, BLOBS[HIGH].hex]
 
 
 @pytest.mark.parametrize(
@@ -185,31 +189,33 @@ def test_the_forecast(send: tuple[str, ...], rate: float | None, says: str) -> N
 )
 def test_the_forecast_of_the_disk(containerd: bool, afterwards: str) -> None:
     """A containerd store keeps the packed layers beside the others."""
-    made = delivered(robot(containerd=containerd, disk_free=10**10), unpacked=100_000_000, size=100_000_000)
-    assert made.forecast.endswith(f"; disk: 10.0 GB free, {afterwards}")
+    delivered_ = delivered(
+        robot(containerd=containerd, disk_free=10**10), unpacked=100_000_000, size=100_000_000
+    )
+    assert delivered_.forecast.endswith(f"; disk: 10.0 GB free, {afterwards}")
 
 
 @pytest.mark.parametrize(
     ("spooled", "there", "earlier"),
     [
         (0, 0, ""),
-        (30_000, 30_000, " (30 kB came earlier)"),
-        (BLOBS[LOW].size, BLOBS[LOW].size, f" ({BLOBS[LOW].size / 1000:.0f} kB came earlier)"),
-        (10**9, BLOBS[LOW].size, f" ({BLOBS[LOW].size / 1000:.0f} kB came earlier)"),
+        (30_000, 30_000, " (30 kB sent earlier)"),
+        (BLOBS[LOW].size, BLOBS[LOW].size, f" ({BLOBS[LOW].size / 1000:.0f} kB sent earlier)"),
+        (10**9, BLOBS[LOW].size, f" ({BLOBS[LOW].size / 1000:.0f} kB sent earlier)"),
     ],
 )
 def test_what_has_arrived_already_is_not_counted(spooled: int, there: int, earlier: str) -> None:
     """The robot's spool holds it, and no more than all of it."""
-    made = delivered(robot(stock=ImageStore(spool={BLOBS[LOW].hex: spooled})))
-    assert [piece.there for piece in parcel(made).pieces] == [0, there, 0]
-    assert parcel(made).size == parcel(delivered(robot())).size - there
-    assert f"{earlier}; disk" in made.forecast
-    assert bool(earlier) == ("earlier" in made.forecast)
+    delivered_ = delivered(robot(stock=ImageStore(spool={BLOBS[LOW].hex: spooled})))
+    assert [upload.there for upload in batch(delivered_).pieces] == [0, there, 0]
+    assert batch(delivered_).size == batch(delivered(robot())).size - there
+    assert f"{earlier}; disk" in delivered_.forecast
+    assert bool(earlier) == ("earlier" in delivered_.forecast)
 
 
 def test_room_is_needed_for_the_spool_dockers_copy_and_the_layers() -> None:
     """To the byte; what has arrived lies on the disk already."""
-    size = parcel(delivered(robot())).size
+    size = batch(delivered(robot())).size
     packed_ = sum(blob.size for blob in BLOBS.values())
     needed = size + packed_ + 1.05 * sum(blob.unpacked for blob in BLOBS.values())
     assert delivered(robot(disk_free=int(needed) + 1)).steps
@@ -219,7 +225,7 @@ def test_room_is_needed_for_the_spool_dockers_copy_and_the_layers() -> None:
         caught.value.what == f"it needs {needed / 1000:.0f} kB of free disk, and has {needed / 1000:.0f} kB"
     )
     assert caught.value.cure == (
-        "`fab prune` removes old releases; `docker system df` there shows what Docker uses"
+        "`fab prune` removes old releases; `docker system df` on the robot shows what Docker uses"
     )
     assert delivered(
         robot(disk_free=int(needed) - 30_000, stock=ImageStore(spool={BLOBS[LOW].hex: 30_001}))
@@ -227,8 +233,8 @@ def test_room_is_needed_for_the_spool_dockers_copy_and_the_layers() -> None:
 
 
 def test_whole_images_as_a_stream() -> None:
-    """What always works: each is loaded under its name and proved."""
-    made = delivery.stream([TALKER.image], facts=robot())
+    """The strategy that always works: each image is loaded under its name and proved."""
+    delivered_ = delivery.stream([TALKER.image], facts=robot())
     load = Step(
         title=f"load {TALKER.image.shipped_as}",
         argv=("docker", "load", "--quiet"),
@@ -239,7 +245,7 @@ def test_whole_images_as_a_stream() -> None:
         harmless=True,
         resumes=True,
     )
-    assert made == Delivery(
+    assert delivered_ == Delivery(
         steps=(load, PROVE), forecast="sends 102 kB, whole images", transfer="whole images"
     )
 
@@ -255,24 +261,24 @@ def test_room_for_whole_images() -> None:
     )
 
 
-def test_a_layer_under_two_diff_ids_is_one_piece() -> None:
-    """Pieces are called by their digest, and the robot asks for each once."""
+def test_a_layer_under_two_diff_ids_is_one_upload() -> None:
+    """Uploads are named by their digest, and the robot asks for each once."""
     same = Blob(
         diff_id=HIGH, digest=BLOBS[LOW].digest, size=BLOBS[LOW].size, media_type=BLOBS[LOW].media_type
     )
-    made = delivery.pieces(
+    delivered_ = delivery.layers(
         [(TALKER.image, TALKER.wanted)],
-        lack=MissingLayers(send=(LOW, HIGH), there={}, layers=2),
+        missing=MissingLayers(send=(LOW, HIGH), there={}, layers=2),
         packed={LOW: BLOBS[LOW], HIGH: same},
         facts=robot(),
-        made={},
-        shipment=SHIPMENT,
+        rebuilt={},
+        run=RUN,
     )
-    assert len(parcel(made).pieces) == 2
+    assert len(batch(delivered_).pieces) == 2
 
 
 @pytest.mark.parametrize(
-    ("zstd", "python", "sudo", "may"),
+    ("zstd", "python", "sudo", "can"),
     [
         (True, True, "root", True),
         (True, True, "free", True),
@@ -282,9 +288,9 @@ def test_a_layer_under_two_diff_ids_is_one_piece() -> None:
         (True, False, "root", False),
     ],
 )
-def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sudo, may: bool) -> None:
+def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sudo, can: bool) -> None:
     """It takes both programs, and root without being asked."""
-    assert delivery.may_make(change(robot(stock=ImageStore(zstd=zstd, python=python)), sudo=sudo)) == may
+    assert delivery.can_rebuild(change(robot(stock=ImageStore(zstd=zstd, python=python)), sudo=sudo)) == can
 
 
 @pytest.mark.parametrize(
@@ -299,7 +305,7 @@ def test_who_can_make_a_layer_of_another_one(zstd: bool, python: bool, sudo: Sud
         (12_400_000, 0, None, False),
     ],
 )
-def test_when_a_patch_is_quicker(size: int, patch: int, rate: float | None, saved: bool) -> None:
-    """Two seconds, and one for each 15 MB that are made, against what need not be sent; an unknown link is a fair Wi-Fi."""
+def test_when_rebuilding_is_faster(size: int, patch: int, rate: float | None, saved: bool) -> None:
+    """Two seconds, and one for each 15 MB that are rebuilt, against what need not be sent; an unknown link is a fair Wi-Fi."""
     blob = replace(BLOBS[LOW], size=size, unpacked=45_000_000)
-    assert delivery.saves(blob, patch=patch, rate=rate) == saved
+    assert delivery.rebuilding_is_faster(blob, patch=patch, rate=rate) == saved

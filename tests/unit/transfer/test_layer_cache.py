@@ -39,7 +39,7 @@ class Desk:
         return LayerCache(directory=self.folder, export=self._export)
 
     def _export(self, image: Image) -> Iterator[bytes]:
-        """In pieces of any size, as the engine gives them."""
+        """In chunks of any size, as the engine gives them."""
         self.exports += 1
         archive = self._archives[image]
         for at in range(0, len(archive), 10_007):
@@ -111,16 +111,16 @@ def test_what_an_old_engine_calls_a_layer_is_learned(tmp_path: Path, monkeypatch
     """Its name there does not say its digest: the second time only what is missing is packed, by any run."""
     desk = Desk(tmp_path, TALKER)
     desk.cache.pack(TALKER.image, TALKER.diff_ids[:1], "gzip")
-    made: list[str] = []
+    compressors: list[str] = []
 
     class Counted(codec.Compressor):
         def __init__(self, encoding: Encoding) -> None:
-            made.append(encoding)
+            compressors.append(encoding)
             super().__init__(encoding)
 
     monkeypatch.setattr(codec, "Compressor", Counted)
     desk.another().pack(TALKER.image, TALKER.diff_ids[1:], "gzip")
-    assert made == ["gzip"]
+    assert compressors == ["gzip"]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -138,8 +138,8 @@ def test_layers_of_several_streams_are_read_to_the_end(
     tmp_path: Path, encoding: Encoding, tail: bytes
 ) -> None:
     """Some builders pack file by file (stargz, zstd:chunked) and add what only they read: a layer is all of them."""
-    pieces = (BASE[:10_000], BASE[10_000:20_000], BASE[20_000:])
-    content = b"".join(packed(piece, encoding)[1] for piece in pieces) + tail
+    parts = (BASE[:10_000], BASE[10_000:20_000], BASE[20_000:])
+    content = b"".join(packed(part, encoding)[1] for part in parts) + tail
     image = Handmade(layers=(BASE,))
     path = f"blobs/sha256/{digest(content)[7:]}"
     listing = json.dumps([{"Config": "config.json", "RepoTags": [], "Layers": [path]}]).encode()
@@ -181,12 +181,12 @@ def test_notes_that_are_none_are_written_again(tmp_path: Path, name: str, text: 
     assert set(desk.cache.pack(TALKER.image, TALKER.diff_ids, "gzip")) == set(TALKER.diff_ids)
 
 
-def test_a_piece_that_is_gone_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_layer_that_was_removed_when_it_is_needed(tmp_path: Path) -> None:
     """One sentence, and its cure."""
     desk = Desk(tmp_path, TALKER)
     with pytest.raises(DesktopError) as caught:
         desk.cache.open("f" * 64)
-    assert caught.value.what == f"a packed layer is gone from {desk.folder}: No such file or directory"
+    assert caught.value.what == f"a packed layer was removed from {desk.folder}: No such file or directory"
     assert caught.value.cure == "run the same command again"
 
 
@@ -198,11 +198,11 @@ SAVED = TALKER.saved("plain blobs")
     [
         (SAVED[: len(SAVED) // 3], "packing layers for sending failed: unexpected end of data"),
         (b"no tar at all", "packing layers for sending failed: "),
-        (tar({}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"[]"}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"7"}), "the archive of talker:latest-amd64 names no configuration"),
-        (tar({"manifest.json": b"{"}), "the archive of talker:latest-amd64 names no configuration"),
-        (Handmade(layers=(BASE,)).saved(), "the archive of talker:latest-amd64 lacks layers"),
+        (tar({}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"[]"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"7"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (tar({"manifest.json": b"{"}), "the archive of talker:latest-amd64 does not name its configuration"),
+        (Handmade(layers=(BASE,)).saved(), "layers are missing in the archive of talker:latest-amd64"),
         (tar({"x": b"\x1f\x8b damaged"}), "packing layers for sending failed: "),
         (tar({"x": b"\x28\xb5\x2f\xfd damaged"}), "packing layers for sending failed: "),
     ],
@@ -222,11 +222,11 @@ def test_a_cache_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(DesktopError) as caught:
         Desk(tmp_path, TALKER).cache.pack(TALKER.image, TALKER.diff_ids, "gzip")
     assert caught.value.what.startswith("packing layers for sending failed: ")
-    assert caught.value.cure == "is there room in ~/.cache?"
+    assert caught.value.cure == "check that ~/.cache has free disk space"
 
 
 def test_tidying_keeps_what_was_used_last(tmp_path: Path) -> None:
-    """Used counts, not made: a layer that every release has stays, however old it is."""
+    """The time of use counts: a layer that every release has stays, however old it is."""
     images = [Handmade(layers=(layer(seed),), reference=f"image:{seed}") for seed in range(4)]
     desk = Desk(tmp_path, *images)
     blobs = [desk.cache.pack(one.image, one.diff_ids, "gzip")[one.diff_ids[0]] for one in images]
@@ -241,7 +241,7 @@ def test_tidying_keeps_what_was_used_last(tmp_path: Path) -> None:
 
 
 def test_tidying_what_is_small_removes_nothing(tmp_path: Path) -> None:
-    """Nor is a cache that nobody has used yet a problem."""
+    """A cache without a folder is not an error either."""
     desk = Desk(tmp_path, TALKER)
     desk.cache.tidy()
     desk.cache.pack(TALKER.image, TALKER.diff_ids, "gzip")
@@ -254,21 +254,22 @@ def test_many_want_the_same_at_once(tmp_path: Path) -> None:
     """Robots of one run wait for each other; two runs work side by side, and both have it right."""
     desk = Desk(tmp_path, TALKER)
     caches = [desk.cache, desk.another()]
-    found: list[dict[str, Blob]] = []
+    results: list[dict[str, Blob]] = []
 
     def pack(one: LayerCache) -> None:
-        found.extend(one.pack(TALKER.image, TALKER.diff_ids, "gzip") for _ in range(3))
+        results.extend(one.pack(TALKER.image, TALKER.diff_ids, "gzip") for _ in range(3))
 
     threads = [threading.Thread(target=pack, args=(one,)) for one in caches * 3]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert found == [found[0]] * 18
+    assert results == [results[0]] * 18
     assert desk.exports <= 2
-    assert {blob.hex for blob in found[0].values()} <= {path.name for path in desk.folder.iterdir()}
+    assert {blob.hex for blob in results[0].values()} <= {path.name for path in desk.folder.iterdir()}
 
 
+@pytest.mark.usefixtures("desktop")
 def test_out_of_the_engine_of_this_computer(tmp_path: Path) -> None:
     """Its own archive, whatever version it is: the layers are those that went in, and the ID is the configuration's."""
     engine = Engine()
@@ -276,19 +277,21 @@ def test_out_of_the_engine_of_this_computer(tmp_path: Path) -> None:
     try:
         engine.load(image.saved())
         with Store() as store:
-            found = store.find(image.reference, "linux/amd64")
+            stored = store.find(image.reference, "linux/amd64")
             here = LayerCache(directory=tmp_path, export=store.export)
-            blobs = here.pack(found, found.layers, "gzip")
-            assert found.identity == image.image.identity
+            blobs = here.pack(stored, stored.layers, "gzip")
+            assert stored.identity == image.image.identity
             assert blobs == {digest(data): packed(data)[0] for data in image.layers}
-            assert here.config(found) == image.config
+            assert here.config(stored) == image.config
     finally:
         engine.clear()
 
 
-@pytest.mark.parametrize(("said", "where"), [("", ".cache"), ("other", "other")])
-def test_where_the_cache_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, where: str) -> None:
+@pytest.mark.parametrize(("variable", "where"), [("", ".cache"), ("other", "other")])
+def test_where_the_cache_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, where: str
+) -> None:
     """In the login's own, unless XDG_CACHE_HOME says another place."""
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("XDG_CACHE_HOME", said and str(tmp_path / said))
+    monkeypatch.setenv("XDG_CACHE_HOME", variable and str(tmp_path / variable))
     assert layer_cache.folder() == tmp_path / where / "fleet/layers"

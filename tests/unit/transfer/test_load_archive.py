@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from fleet.images.layer import Blob
-from fleet.transfer.load_archive import BLOCK, ArchiveSkeleton, StoredManifest, TargetImage, frame
+from fleet.transfer.load_archive import BLOCK, ArchiveSkeleton, StoredManifest, TargetImage, skeleton
 from tests.support.handmade import Handmade, digest, layer, packed
 
 if TYPE_CHECKING:
@@ -23,29 +23,31 @@ BLOBS = {diff_id: blob for diff_id, (blob, _) in CONTENTS.items()}
 
 
 def framed(*images: Handmade, sent: Sequence[bytes], blobs: Mapping[str, Blob] = BLOBS) -> ArchiveSkeleton:
-    return frame([image.wanted for image in images], blobs=blobs, sent=[BLOBS[digest(data)] for data in sent])
+    return skeleton(
+        [image.wanted for image in images], blobs=blobs, sent=[BLOBS[digest(data)] for data in sent]
+    )
 
 
-def put_together(made: ArchiveSkeleton, sent: Sequence[bytes]) -> bytes:
-    """The archive, as a robot makes it of the frame and the packed layers: what `receive.SCRIPT` says in shell."""
+def put_together(archive: ArchiveSkeleton, sent: Sequence[bytes]) -> bytes:
+    """The archive, as a robot makes it of the skeleton and the packed layers, like ``receive.sh``."""
     whole = b""
     for count, data in enumerate(sent):
         content = CONTENTS[digest(data)][1]
-        whole += made.data[count * BLOCK : (count + 1) * BLOCK] + content + bytes(-len(content) % BLOCK)
-    return whole + made.data[len(sent) * BLOCK :] + bytes(2 * BLOCK)
+        whole += archive.data[count * BLOCK : (count + 1) * BLOCK] + content + bytes(-len(content) % BLOCK)
+    return whole + archive.data[len(sent) * BLOCK :] + bytes(2 * BLOCK)
 
 
 def members(archive: bytes) -> dict[str, bytes]:
     """What Python's tarfile reads, in order; a member that comes twice would be lost here, and is refused."""
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     with tarfile.open(fileobj=io.BytesIO(archive), mode="r:") as opened:
         for member in opened:
             content = opened.extractfile(member)
             assert content is not None
-            assert member.name not in found
-            found[member.name] = content.read()
+            assert member.name not in contents
+            contents[member.name] = content.read()
         assert archive[opened.offset :] == bytes(2 * BLOCK)  # that POSIX wants at the end, and no more
-    return found
+    return contents
 
 
 def test_an_image_without_layers_byte_for_byte() -> None:
@@ -69,9 +71,9 @@ def test_an_image_without_layers_byte_for_byte() -> None:
             *member("manifest.json", listing.encode()),
         )
     )
-    made = frame([bare], blobs={}, sent=[])
-    assert made.data == expected
-    assert made.hex == hashlib.sha256(expected).hexdigest()
+    archive = skeleton([bare], blobs={}, sent=[])
+    assert archive.data == expected
+    assert archive.hex == hashlib.sha256(expected).hexdigest()
 
 
 def made_manifest(config: bytes) -> bytes:
@@ -146,12 +148,12 @@ def docker(whole: Mapping[str, bytes], *images: Handmade) -> None:
 
 def test_layers_that_are_left_out_are_named_all_the_same() -> None:
     """By the blob that the robot is known to hold: then only the small members and what is new are in it."""
-    made = framed(ONE, sent=[CODE])
-    whole = members(put_together(made, [CODE]))
+    archive = framed(ONE, sent=[CODE])
+    whole = members(put_together(archive, [CODE]))
     assert len(whole) == 6
     (entry,) = json.loads(whole["manifest.json"])
     assert entry["Layers"] == [f"blobs/sha256/{BLOBS[one].hex}" for one in ONE.diff_ids]
-    manifest = json.loads(made.data[made.receipts[0].offset :][: made.receipts[0].length])
+    manifest = json.loads(archive.data[archive.manifests[0].offset :][: archive.manifests[0].length])
     assert [one["digest"] for one in manifest["layers"]] == [BLOBS[one].digest for one in ONE.diff_ids]
 
 
@@ -182,23 +184,23 @@ def test_a_layer_that_an_image_has_twice() -> None:
 def test_two_images_of_one_configuration() -> None:
     """Called differently, they are one blob: an archive that holds it twice is still read."""
     other = Handmade(layers=ONE.layers, reference="other:1")
-    made = framed(ONE, other, sent=[BASE, CODE])
-    with tarfile.open(fileobj=io.BytesIO(put_together(made, [BASE, CODE])), mode="r:") as opened:
+    archive = framed(ONE, other, sent=[BASE, CODE])
+    with tarfile.open(fileobj=io.BytesIO(put_together(archive, [BASE, CODE])), mode="r:") as opened:
         assert len(opened.getnames()) == 2 + 2 * 2 + 3
 
 
-def test_a_receipt_says_what_the_image_will_be_called_and_where_its_manifest_lies() -> None:
-    """A classic store names it by its configuration, containerd by the manifest, whose bytes are in the frame."""
-    made = framed(ONE, TWO, sent=[BASE, CODE, OTHER])
-    for receipt, image in zip(made.receipts, (ONE, TWO), strict=True):
-        manifest = made.data[receipt.offset :][: receipt.length]
-        assert receipt == StoredManifest(
+def test_the_ids_of_an_image_and_the_place_of_its_manifest_are_known() -> None:
+    """A classic store names it by its configuration, containerd by the manifest, whose bytes are in the skeleton."""
+    archive = framed(ONE, TWO, sent=[BASE, CODE, OTHER])
+    for stored, image in zip(archive.manifests, (ONE, TWO), strict=True):
+        content = archive.data[stored.offset :][: stored.length]
+        assert stored == StoredManifest(
             image=image.wanted,
-            ids=(digest(image.config), digest(manifest)),
-            offset=receipt.offset,
-            length=len(manifest),
+            ids=(digest(image.config), digest(content)),
+            offset=stored.offset,
+            length=len(content),
         )
-        assert [one["digest"] for one in json.loads(manifest)["layers"]] == [
+        assert [one["digest"] for one in json.loads(content)["layers"]] == [
             BLOBS[one].digest for one in image.diff_ids
         ]
 
@@ -207,12 +209,14 @@ def test_a_receipt_says_what_the_image_will_be_called_and_where_its_manifest_lie
 def test_members_fill_whole_blocks(size: int) -> None:
     """One that is a whole block already is followed by the next header at once."""
     text = b'{"rootfs":{"diff_ids":[]}}'
-    made = frame([TargetImage(name="a:b", fingerprint="f" * 12, config=text.ljust(size))], blobs={}, sent=[])
-    assert made.data[BLOCK + (size + BLOCK - 1) // BLOCK * BLOCK :].startswith(b"blobs/sha256/")
+    archive = skeleton(
+        [TargetImage(name="a:b", fingerprint="f" * 12, config=text.ljust(size))], blobs={}, sent=[]
+    )
+    assert archive.data[BLOCK + (size + BLOCK - 1) // BLOCK * BLOCK :].startswith(b"blobs/sha256/")
 
 
 def test_the_same_images_make_the_same_bytes() -> None:
-    """Whoever goes on with a transfer that was cut has the same frame."""
+    """A desktop that resumes an interrupted transfer makes the same skeleton."""
     assert framed(ONE, TWO, sent=[BASE, CODE]) == framed(ONE, TWO, sent=[BASE, CODE])
     assert framed(ONE, TWO, sent=[BASE, CODE]).hex != framed(TWO, ONE, sent=[BASE, CODE]).hex
 
@@ -221,7 +225,7 @@ def test_the_same_images_make_the_same_bytes() -> None:
 def test_layers_of_any_size_have_a_header(size: int) -> None:
     """From 8 GiB on the octal digits of ustar are not enough."""
     big = Blob(diff_id="sha256:a", digest=f"sha256:{'a' * 64}", size=size, media_type="")
-    head = frame([], blobs={}, sent=[big]).data[:BLOCK]
+    head = skeleton([], blobs={}, sent=[big]).data[:BLOCK]
     read = tarfile.TarInfo.frombuf(head, "utf-8", "strict")
     assert (read.name, read.size, read.type) == (f"blobs/sha256/{'a' * 64}", size, tarfile.REGTYPE)
 

@@ -56,9 +56,11 @@ def test_a_classic_store_finds_layers_by_their_chain(images: list[str], there: l
 
 
 def test_a_classic_store_is_not_asked_for_blobs() -> None:
-    """A receipt says what containerd kept; a chain alone counts here, and there is nothing to name a layer by but that."""
-    said = missing_layers([("a", "b")], chains=[("a",)], manifests=[(blob("a"), blob("b"))], containerd=False)
-    assert said == MissingLayers(send=("b",), there={}, layers=2)
+    """A recorded manifest says what containerd kept; a chain alone counts here, and there is nothing to name a layer by but that."""
+    missing = missing_layers(
+        [("a", "b")], chains=[("a",)], manifests=[(blob("a"), blob("b"))], containerd=False
+    )
+    assert missing == MissingLayers(send=("b",), there={}, layers=2)
 
 
 @pytest.mark.parametrize(
@@ -88,17 +90,17 @@ def test_a_containerd_store_finds_blobs_wherever_they_came_from(
 
 
 def test_a_containerd_store_is_not_believed_by_diff_id() -> None:
-    """It would take any digest, and then hold a broken image: where no receipt tells, the layer is sent."""
-    said = missing_layers([("a", "b")], chains=[("a", "b")], manifests=(), containerd=True)
-    assert said == MissingLayers(send=("a", "b"), there={}, layers=2)
+    """It would take any digest, and then hold a broken image: without a recorded manifest the layer is sent."""
+    missing = missing_layers([("a", "b")], chains=[("a", "b")], manifests=(), containerd=True)
+    assert missing == MissingLayers(send=("a", "b"), there={}, layers=2)
 
 
 def test_of_two_blobs_of_a_layer_one_is_named() -> None:
     """Packed twice, it was received twice: either will do."""
     twice = [[blob("a", "one")], [blob("a", "other")]]
-    said = missing_layers([("a",)], chains=(), manifests=twice, containerd=True)
-    assert said.send == ()
-    assert said.there["a"] in (blob("a", "one"), blob("a", "other"))
+    missing = missing_layers([("a",)], chains=(), manifests=twice, containerd=True)
+    assert missing.send == ()
+    assert missing.there["a"] in (blob("a", "one"), blob("a", "other"))
 
 
 @given(images=IMAGES, there=IMAGES)
@@ -133,10 +135,10 @@ def test_a_containerd_store_gets_each_layer_in_one_of_two_ways(
 ) -> None:
     """Each is sent or is there, and none is both."""
     manifests = [[blob(one) for one in layers] for layers in known]
-    said = missing_layers(images, chains=(), manifests=manifests, containerd=True)
+    missing = missing_layers(images, chains=(), manifests=manifests, containerd=True)
     every = {one for image in images for one in image}
-    assert {*said.send, *said.there} == every
-    assert len(said.send) + len(said.there) == said.layers == len(every)
+    assert {*missing.send, *missing.there} == every
+    assert len(missing.send) + len(missing.there) == missing.layers == len(every)
 
 
 def takes(images: list[Layers], *, there: list[Layers], sent: Layers) -> bool:

@@ -10,7 +10,7 @@ from fleet.transfer.rate_limit import BURST, RateLimiter, bytes_per_second
 
 
 @pytest.mark.parametrize(
-    ("said", "rate"),
+    ("text", "rate"),
     [
         ("", None),
         ("8Mbit", 1e6),
@@ -25,19 +25,19 @@ from fleet.transfer.rate_limit import BURST, RateLimiter, bytes_per_second
         ("8kbit", 1000.0),
     ],
 )
-def test_rates_as_people_write_them(said: str, rate: float | None) -> None:
+def test_rates_as_people_write_them(text: str, rate: float | None) -> None:
     """In bits, as links are sold, or in bytes; nothing is no limit."""
-    assert bytes_per_second(said) == rate
+    assert bytes_per_second(text) == rate
 
 
 @pytest.mark.parametrize(
-    "said", ["8", "fast", "8Mbps", "-1MB", "0MB", "7kbit", "1e6MB", "1GB", "1,5MB", "1.MB", "MB"]
+    "text", ["8", "fast", "8Mbps", "-1MB", "0MB", "7kbit", "1e6MB", "1GB", "1,5MB", "1.MB", "MB"]
 )
-def test_what_is_no_rate_is_refused(said: str) -> None:
+def test_what_is_not_a_rate_is_refused(text: str) -> None:
     """With how it is written: Mbps are bits to most, and a rate that would take days is a slip."""
     with pytest.raises(UsageError) as caught:
-        bytes_per_second(said)
-    assert caught.value.what == f"--limit {said} is no rate"
+        bytes_per_second(text)
+    assert caught.value.what == f"--limit {text} is not a rate"
     assert caught.value.cure == "write it as 8Mbit (bits) or 1MB (bytes) per second"
 
 
@@ -52,12 +52,12 @@ class Interrupted(float):
 def test_several_share_one_rate() -> None:
     """Together they send as fast as one may, and each has its turn."""
     rate, each, threads = 1_000_000, 5000, 4
-    pace, counts = RateLimiter(Interrupted(rate)), [0] * threads
+    limiter, counts = RateLimiter(Interrupted(rate)), [0] * threads
     until = time.monotonic() + 0.5
 
     def send(number: int) -> None:
         while time.monotonic() < until:
-            pace.take(each)
+            limiter.acquire(each)
             counts[number] += each
 
     running = [threading.Thread(target=send, args=(number,)) for number in range(threads)]
@@ -74,17 +74,17 @@ def test_several_share_one_rate() -> None:
 
 def test_a_pause_is_not_caught_up_with() -> None:
     """What was not used is gone: after a second of silence there is no second of noise."""
-    pace = RateLimiter(100_000)
-    pace.take(1)
+    limiter = RateLimiter(100_000)
+    limiter.acquire(1)
     time.sleep(0.4)
     began = time.monotonic()
     for _ in range(4):
-        pace.take(10_000)
+        limiter.acquire(10_000)
     assert time.monotonic() - began >= 0.2 - 0.02
 
 
-def test_without_a_limit_nobody_waits() -> None:
+def test_without_a_limit_no_transfer_waits() -> None:
     """Not even for very much."""
     began = time.monotonic()
-    RateLimiter(None).take(10**15)
+    RateLimiter(None).acquire(10**15)
     assert time.monotonic() - began < 1

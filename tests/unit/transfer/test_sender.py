@@ -11,7 +11,6 @@ from fleet.plan.step import Bytes, ImageArchive, UploadBatch
 from fleet.robot.image_store import ImageStore
 from fleet.transfer import delivery
 from fleet.transfer.layer_cache import LayerCache
-from fleet.transfer.link_rates import ENOUGH_TO_MEASURE, LinkRates
 from fleet.transfer.rate_limit import RateLimiter
 from fleet.transfer.sender import Sender
 from fleet.transfer.upload_server import UploadServer
@@ -40,7 +39,7 @@ class Desk:
         self.opened: list[tuple[str, str]] = []
         self.sender = Sender(
             cache=LayerCache(directory=folder / "layers", export=self._export),
-            pace=RateLimiter(limit),
+            limiter=RateLimiter(limit),
             by="tim@desktop",
             rates=self.rates,
             archive=self._open,
@@ -55,10 +54,10 @@ class Desk:
         return [b"opened"]
 
     def deliver(
-        self, *images: Handmade, seen: Facts | None = None, way: Strategy = "missing layers"
+        self, *images: Handmade, seen: Facts | None = None, strategy: Strategy = "missing layers"
     ) -> Delivery:
         wanted = [one.image for one in images]
-        return self.sender.deliver(wanted, robot=PI, facts=seen or robot(), way=way)
+        return self.sender.deliver(wanted, robot=PI, facts=seen or robot(), strategy=strategy)
 
 
 @pytest.fixture
@@ -72,11 +71,11 @@ def robot(*chains: Sequence[bytes]) -> Facts:
     return change(facts(), docker_version="20.10.24", image_store=stock)
 
 
-def sent(made: Delivery) -> list[str]:
-    """The digests of the layers that are sent: all pieces but the frame."""
-    (parcel,) = (step.feed for step in made.steps if isinstance(step.feed, UploadBatch))
-    assert parcel.to == PI.address
-    return [f"sha256:{piece.digest}" for piece in parcel.pieces[1:]]
+def sent(delivery: Delivery) -> list[str]:
+    """The digests of the layers that are sent: all uploads but the skeleton."""
+    (batch,) = (step.feed for step in delivery.steps if isinstance(step.feed, UploadBatch))
+    assert batch.to == PI.address
+    return [f"sha256:{upload.digest}" for upload in batch.pieces[1:]]
 
 
 def packs(*layers: bytes) -> list[str]:
@@ -90,7 +89,7 @@ def test_nothing_is_missing(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(
-    ("way", "chains", "layers"),
+    ("strategy", "chains", "layers"),
     [
         ("missing layers", (), (BASE, CODE)),
         ("missing layers", ((BASE,),), (CODE,)),
@@ -101,10 +100,10 @@ def test_nothing_is_missing(desk: Desk) -> None:
     ],
 )
 def test_what_is_sent_of_an_image(
-    desk: Desk, way: Strategy, chains: tuple[tuple[bytes, ...], ...], layers: tuple[bytes, ...]
+    desk: Desk, strategy: Strategy, chains: tuple[tuple[bytes, ...], ...], layers: tuple[bytes, ...]
 ) -> None:
     """The layers that the robot lacks, packed as its engine reads them; or all of them, where it is not believed."""
-    assert sent(desk.deliver(TALKER, seen=robot(*chains), way=way)) == packs(*layers)
+    assert sent(desk.deliver(TALKER, seen=robot(*chains), strategy=strategy)) == packs(*layers)
     assert desk.exported == [TALKER.reference]
 
 
@@ -124,8 +123,8 @@ def test_what_robots_have_in_common_is_prepared_once(desk: Desk) -> None:
 
 
 def test_a_plain_stream_needs_no_packing(desk: Desk) -> None:
-    """The last way is Docker's own from end to end."""
-    assert desk.deliver(TALKER, CAMERA, way="plain stream") == delivery.stream(
+    """The last strategy uses only Docker from end to end."""
+    assert desk.deliver(TALKER, CAMERA, strategy="plain stream") == delivery.stream(
         [TALKER.image, CAMERA.image], facts=robot()
     )
     assert desk.exported == []
@@ -156,96 +155,37 @@ def test_the_forecast_knows_the_link(
     """As it was the last time, and not faster than it may be now."""
     desk = Desk(tmp_path, limit=limit)
     desk.rates.write_text(json.dumps(known))
-    said = desk.deliver(TALKER).forecast
-    assert says in said
-    assert bool(says) == ("/s" in said)
+    forecast = desk.deliver(TALKER).forecast
+    assert says in forecast
+    assert bool(says) == ("/s" in forecast)
 
 
-def test_a_parcel_is_opened_as_a_courier_that_notes_how_fast_it_went(desk: Desk) -> None:
-    """Its pieces come out of the cache; when it is closed, what the link was like is known."""
-    (parcel, *_) = (step.feed for step in desk.deliver(TALKER).steps)
-    assert isinstance(parcel, UploadBatch)
-    courier = desk.sender.open(parcel)
-    assert isinstance(courier, UploadServer)
-    for piece in parcel.pieces:
-        courier.on_output(f"need {piece.digest} 0\n".encode())
-    courier.on_output(b"enough\n")
-    assert len(b"".join(courier)) == parcel.size
-    courier.sent, courier.seconds = 2_000_000, 2.0
-    courier.close()
+def test_a_batch_is_served_and_the_rate_is_recorded(desk: Desk) -> None:
+    """The uploads come out of the cache; when the server is closed, the rate of the link is known."""
+    (batch, *_) = (step.feed for step in desk.deliver(TALKER).steps)
+    assert isinstance(batch, UploadBatch)
+    server = desk.sender.open(batch)
+    assert isinstance(server, UploadServer)
+    for upload in batch.pieces:
+        server.on_output(f"need {upload.digest} 0\n".encode())
+    server.on_output(b"enough\n")
+    assert len(b"".join(server)) == batch.size
+    server.sent, server.seconds = 2_000_000, 2.0
+    server.close()
     assert json.loads(desk.rates.read_text()) == {PI.address: 1_000_000}
 
 
 def test_whole_images_are_read_out_of_docker(desk: Desk) -> None:
-    """That is the last way; what a plan carries itself needs no sender."""
+    """That is the last strategy; bytes that a plan contains need no sender."""
     assert desk.sender.open(ImageArchive(image="talker", reference="talker:fleet-1", size=9)) == [b"opened"]
     assert desk.opened == [("talker", "talker:fleet-1")]
     with pytest.raises(TypeError, match="3 files needs no sender"):
         desk.sender.open(Bytes(label="3 files", data=b"abc"))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{",
-        "[]",
-        "5",
-        "null",
-        '{"pi": "fast"}',
-        '{"pi": null}',
-        '{"pi": [1]}',
-        "\xff",
-        f'{{"pi": {"9" * 400}}}',
-    ],
-)
-def test_a_file_of_rates_that_is_none_is_as_good_as_no_file(tmp_path: Path, text: str) -> None:
-    """And is one again after the next transfer."""
-    path = tmp_path / "rates.json"
-    path.write_text(text, encoding="latin-1")
-    rates = LinkRates(path)
-    assert rates.of("pi") is None
-    rates.note("pi", 2 * ENOUGH_TO_MEASURE, 2.0)
-    assert rates.of("pi") == ENOUGH_TO_MEASURE
-
-
-@pytest.mark.parametrize(
-    ("count", "seconds", "rate"),
-    [
-        (ENOUGH_TO_MEASURE, 1.0, 500_000),
-        (ENOUGH_TO_MEASURE - 1, 1.0, None),
-        (ENOUGH_TO_MEASURE, 0.0, None),
-        (10**9, 3.0, 333_333_333),
-    ],
-)
-def test_a_transfer_that_tells_nothing_is_not_noted(
-    tmp_path: Path, count: int, seconds: float, rate: float | None
-) -> None:
-    """A few bytes fit into the buffers between here and there."""
-    rates = LinkRates(tmp_path / "new/rates.json")
-    rates.note("pi", count, seconds)
-    assert rates.of("pi") == rate
-
-
-def test_rates_of_other_robots_stay(tmp_path: Path) -> None:
-    """One line for each address, also from another run."""
-    path = tmp_path / "rates.json"
-    LinkRates(path).note("pi1", ENOUGH_TO_MEASURE, 1.0)
-    LinkRates(path).note("pi2", ENOUGH_TO_MEASURE, 2.0)
-    LinkRates(path).note("pi1", ENOUGH_TO_MEASURE, 4.0)
-    assert json.loads(path.read_text()) == {"pi1": 125_000, "pi2": 250_000}
-
-
-def test_rates_that_cannot_be_written_are_no_failure(tmp_path: Path) -> None:
-    """They only serve a forecast."""
-    (tmp_path / "file").write_text("in the way")
-    rates = LinkRates(tmp_path / "file/rates.json")
-    rates.note("pi", ENOUGH_TO_MEASURE, 1.0)
-    assert rates.of("pi") is None
-
-
+@pytest.mark.usefixtures("desktop")
 def test_the_images_of_this_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the engine to the pieces, in the login's cache, which is tidied at the end."""
+    """From Docker to the uploads, in the login's cache, which is tidied at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     tidied: list[LayerCache] = []
     monkeypatch.setattr(LayerCache, "tidy", lambda cache, **_: tidied.append(cache))
@@ -253,10 +193,10 @@ def test_the_images_of_this_computer(tmp_path: Path, monkeypatch: pytest.MonkeyP
     image = Handmade(layers=(BASE, CODE), reference=f"{engine.name}:latest-amd64")
     try:
         engine.load(image.saved())
-        with Store() as store, Sender.using(store, pace=RateLimiter(None), by="tim@desktop") as sender:
-            found = store.find(image.reference, "linux/amd64")
-            made = sender.deliver([found], robot=PI, facts=robot(), way="all layers")
-            assert sent(made) == packs(BASE, CODE)
+        with Store() as store, Sender.using(store, limiter=RateLimiter(None), by="tim@desktop") as sender:
+            image_here = store.find(image.reference, "linux/amd64")
+            delivered = sender.deliver([image_here], robot=PI, facts=robot(), strategy="all layers")
+            assert sent(delivered) == packs(BASE, CODE)
             assert tidied == []
     finally:
         engine.clear()

@@ -13,45 +13,48 @@ from fleet.rollout.apply import InteractiveFeed
 from fleet.transfer.rate_limit import RateLimiter
 from fleet.transfer.upload_server import CHUNK, UploadServer
 
-FRAME, LAYER = b"the frame", b"a layer " * 30_000
-NAMES = tuple(hashlib.sha256(data).hexdigest() for data in (FRAME, LAYER))
-PARCEL = UploadBatch(
+SKELETON, LAYER = b"the skeleton", b"a layer " * 30_000
+NAMES = tuple(hashlib.sha256(data).hexdigest() for data in (SKELETON, LAYER))
+BATCH = UploadBatch(
     label="1 of 1 layers",
     to="pi1.local",
-    pieces=(Upload(digest=NAMES[0], size=len(FRAME), data=FRAME), Upload(digest=NAMES[1], size=len(LAYER))),
+    pieces=(
+        Upload(digest=NAMES[0], size=len(SKELETON), data=SKELETON),
+        Upload(digest=NAMES[1], size=len(LAYER)),
+    ),
 )
 
 
 class Desk:
-    """A courier with its parcel, and all that it told anybody."""
+    """A server with its batch, and everything that it reported."""
 
     def __init__(self, *, rate: float | None = None) -> None:
-        self.told: list[str] = []
+        self.notes: list[str] = []
         self.ended: list[tuple[str, int, float]] = []
-        self.paced: list[int] = []
-        paced = self.paced
+        self.acquired: list[int] = []
+        acquired = self.acquired
 
         class Noted(RateLimiter):
-            def take(self, count: int) -> None:
-                paced.append(count)
-                super().take(count)
+            def acquire(self, count: int) -> None:
+                acquired.append(count)
+                super().acquire(count)
 
-        self.courier = UploadServer(
-            PARCEL, open_piece=self._open, pace=Noted(rate), ended=lambda *said: self.ended.append(said)
+        self.server = UploadServer(
+            BATCH, open_blob=self._open, limiter=Noted(rate), on_end=lambda *report: self.ended.append(report)
         )
-        self.courier.on_note = self.told.append
+        self.server.on_note = self.notes.append
 
     def _open(self, digest: str) -> IO[bytes]:
         if digest != NAMES[1]:
             raise DesktopError("a packed layer is gone")
         return io.BytesIO(LAYER)
 
-    def answers(self, *said: bytes) -> bytes:
-        """All that it sends to a robot that says these pieces, and then nothing any more."""
-        for data in said:
-            self.courier.on_output(data)
-        self.courier.close()
-        return b"".join(self.courier)
+    def answers(self, *output: bytes) -> bytes:
+        """All bytes that the server sends to a robot with this output, which then closes the connection."""
+        for data in output:
+            self.server.on_output(data)
+        self.server.close()
+        return b"".join(self.server)
 
 
 def need(number: int, offset: int) -> bytes:
@@ -59,95 +62,95 @@ def need(number: int, offset: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("said", "sent"),
+    ("output", "sent"),
     [
-        ((need(0, 0),), FRAME),
+        ((need(0, 0),), SKELETON),
         ((need(1, 0),), LAYER),
-        ((need(0, 4), need(1, 100_000)), FRAME[4:] + LAYER[100_000:]),
-        ((need(0, len(FRAME)), need(1, 0)), LAYER),
-        ((need(0, 0), need(0, 0)), FRAME + FRAME),
-        ((need(0, 0) + need(1, 5) + b"enough\n",), FRAME + LAYER[5:]),
-        ((need(0, 0)[:30], need(0, 0)[30:-1], b"\n"), FRAME),
+        ((need(0, 4), need(1, 100_000)), SKELETON[4:] + LAYER[100_000:]),
+        ((need(0, len(SKELETON)), need(1, 0)), LAYER),
+        ((need(0, 0), need(0, 0)), SKELETON + SKELETON),
+        ((need(0, 0) + need(1, 5) + b"enough\n",), SKELETON + LAYER[5:]),
+        ((need(0, 0)[:30], need(0, 0)[30:-1], b"\n"), SKELETON),
         ((b"enough\n", need(0, 0)), b""),
         ((need(0, 0)[:-1],), b""),
         ((), b""),
-        ((b"Welcome to pi1\n", need(0, 0)), FRAME),
-        ((b"\xff\xfe\n\n", need(0, 0)), FRAME),
-        ((b"need " + b"0" * 64 + b" 0\n", need(0, 0)), FRAME),
-        ((f"need {NAMES[0]} -1\nneed {NAMES[0]}\nneed {NAMES[0]} 1 2\n".encode(), need(0, 0)), FRAME),
+        ((b"Welcome to pi1\n", need(0, 0)), SKELETON),
+        ((b"\xff\xfe\n\n", need(0, 0)), SKELETON),
+        ((b"need " + b"0" * 64 + b" 0\n", need(0, 0)), SKELETON),
+        ((f"need {NAMES[0]} -1\nneed {NAMES[0]}\nneed {NAMES[0]} 1 2\n".encode(), need(0, 0)), SKELETON),
     ],
 )
-def test_what_is_asked_for_is_sent(said: tuple[bytes, ...], sent: bytes) -> None:
-    """From the byte on that the robot names, until it has enough; greetings and what is no piece are passed over."""
+def test_what_is_asked_for_is_sent(output: tuple[bytes, ...], sent: bytes) -> None:
+    """From the byte that the robot names, until it has enough; other lines and unknown digests are ignored."""
     desk = Desk()
-    assert desk.answers(*said) == sent
-    assert desk.courier.sent == len(sent)
+    assert desk.answers(*output) == sent
+    assert desk.server.sent == len(sent)
 
 
-def test_a_piece_is_asked_for_after_another_was_sent() -> None:
-    """It waits for the next question as long as there may be one: each side speaks in turn."""
+def test_an_upload_is_requested_after_another_was_sent() -> None:
+    """The server waits for the next request until it is closed."""
     desk = Desk()
-    flow = iter(desk.courier)
-    desk.courier.on_output(need(0, 0))
-    assert next(flow) == FRAME
-    later = threading.Timer(0.05, desk.courier.on_output, (need(1, len(LAYER) - 3),))
+    flow = iter(desk.server)
+    desk.server.on_output(need(0, 0))
+    assert next(flow) == SKELETON
+    later = threading.Timer(0.05, desk.server.on_output, (need(1, len(LAYER) - 3),))
     later.start()
     assert next(flow) == LAYER[-3:]
-    desk.courier.on_output(b"enough\n")
+    desk.server.on_output(b"enough\n")
     assert list(flow) == []
     later.join()
 
 
-def test_nobody_asks_any_more() -> None:
-    """The link is lost while it waits: it ends, and does not hold its thread for ever."""
+def test_a_closed_server_ends() -> None:
+    """If the connection drops while it waits, it ends and does not keep its thread for ever."""
     desk = Desk()
-    ended = threading.Thread(target=lambda: list(desk.courier))
+    ended = threading.Thread(target=lambda: list(desk.server))
     ended.start()
-    desk.courier.close()
+    desk.server.close()
     ended.join(10)
     assert not ended.is_alive()
 
 
-def test_what_it_tells_of_the_robot() -> None:
-    """That it waits for somebody, by name, and that it has begun with what takes long."""
+def test_notes_on_the_robot() -> None:
+    """They name the user that the robot waits for, and say when the long load begins."""
     desk = Desk()
     desk.answers(b"wait for ann@desk\n", need(0, 0), b"enough\n")
-    assert desk.told == ["wait for ann@desk, who is shipping to it", "load it into Docker"]
+    assert desk.notes == ["wait for ann@desk, who is shipping to this robot", "load the image into Docker"]
 
 
-def test_what_it_tells_of_the_link() -> None:
-    """To whom how many bytes went, in the time between the first question and the last byte."""
+def test_the_report_on_the_link() -> None:
+    """The address, the bytes, and the seconds between the first request and the last byte."""
     desk = Desk(rate=1_000_000)
     for data in (need(0, 0), need(1, 0), b"enough\n"):
-        desk.courier.on_output(data)
-    sent = b"".join(desk.courier)
-    desk.courier.close()
+        desk.server.on_output(data)
+    sent = b"".join(desk.server)
+    desk.server.close()
     ((to, count, seconds),) = desk.ended
-    assert (to, count) == ("pi1.local", len(sent)) == ("pi1.local", len(FRAME) + len(LAYER))
+    assert (to, count) == ("pi1.local", len(sent)) == ("pi1.local", len(SKELETON) + len(LAYER))
     assert 0.05 <= seconds < 5  # about 0.2 s, but for the burst and the last chunk
 
 
 def test_every_chunk_keeps_to_the_limit() -> None:
-    """It is asked before the bytes leave, a little at a time."""
+    """The limiter is asked before the bytes leave, chunk by chunk."""
     desk = Desk()
     desk.answers(need(0, 0), need(1, 0))
-    assert sum(desk.paced) == len(FRAME) + len(LAYER)
-    assert max(desk.paced) <= CHUNK
+    assert sum(desk.acquired) == len(SKELETON) + len(LAYER)
+    assert max(desk.acquired) <= CHUNK
 
 
-def test_a_piece_that_is_gone_here_is_said() -> None:
-    """Somebody has cleared the cache: the reason is the desktop's."""
-    parcel = UploadBatch(label="", to="", pieces=(Upload(digest="f" * 64, size=1),))
+def test_a_blob_that_was_removed_is_an_error_of_the_desktop() -> None:
+    """The cache was cleared while the transfer ran."""
+    batch = UploadBatch(label="", to="", pieces=(Upload(digest="f" * 64, size=1),))
 
     def gone(_: str) -> IO[bytes]:
         raise DesktopError("a packed layer is gone")
 
-    courier = UploadServer(parcel, open_piece=gone, pace=RateLimiter(None), ended=lambda *_: None)
-    courier.on_output(f"need {'f' * 64} 0\n".encode())
+    server = UploadServer(batch, open_blob=gone, limiter=RateLimiter(None), on_end=lambda *_: None)
+    server.on_output(f"need {'f' * 64} 0\n".encode())
     with pytest.raises(DesktopError, match="is gone"):
-        list(courier)
+        list(server)
 
 
-def test_it_is_a_conversation() -> None:
-    """By that `fleet.rollout.apply` knows that it wants to hear what the robot says."""
-    assert isinstance(Desk().courier, InteractiveFeed)
+def test_it_is_an_interactive_feed() -> None:
+    """So `fleet.rollout.apply` passes the robot's output to it."""
+    assert isinstance(Desk().server, InteractiveFeed)

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+from tests.support.project import FAB
+
+if TYPE_CHECKING:
+    from tests.support.project import Project
+
+
+def test_a_command_on_all_robots(mine: Project) -> None:
+    """Lines with names on standard output, what went wrong on standard error."""
+    done = mine.fab("run", "--", "pwd")
+    assert sorted(done.out.splitlines()) == [f"{n}  | {mine.robots[n].path}" for n in ("pi1", "pi2")]
+    assert done.err.startswith("away: 127.0.0.1 refuses connections to port ")
+    assert done.code == 1
+
+
+def test_a_dry_run_of_a_command_shows_it(mine: Project) -> None:
+    """On each robot that would run it."""
+    assert (
+        mine.fleet("run", "--dry", "--hosts", "fleet", "--", "reboot").out == "pi1: $ reboot\npi2: $ reboot\n"
+    )
+
+
+def test_status_of_robots_to_which_nothing_was_shipped(mine: Project) -> None:
+    """A row each; the one that is away makes the code 1, the others do not."""
+    done = mine.fleet("status")
+    rows = [line.split() for line in done.out.splitlines()]
+    assert rows[0][:4] == ["robot", "reachable", "release", "containers"]
+    assert [row[:2] for row in rows[1:]] == [["pi1", "yes"], ["pi2", "yes"], ["away", "no"]]
+    assert done.code == 1
+    assert mine.fleet("status", "--hosts", "fleet").code == 0
+
+
+def test_history_is_told_by_robot_and_time(own: Project) -> None:
+    """The last so many of each; 0 is none."""
+    home = own.robots["pi1"].path
+    (home / ".fleet").mkdir()
+    lines = [f"2026-11-23T12:0{number}:00Z\tship\tr{number}\ttim@desktop\tdone" for number in range(5)]
+    (home / ".fleet/history").write_text("\n".join(lines) + "\n")
+    done = own.fleet("history", "--hosts", "pi1", "--tail", "2")
+    assert [line.split() for line in done.out.splitlines()[1:]] == [
+        ["pi1", "2026-11-23", f"12:0{number}:00", "ship", f"r{number}", "tim@desktop", "done"]
+        for number in (3, 4)
+    ]
+    assert len(json.loads(own.fleet("history", "--hosts", "pi1", "--json").out)["pi1"]) == 5
+    assert len(own.fleet("history", "--hosts", "pi1", "--tail", "0").out.splitlines()) == 1
+
+
+def test_a_shell_is_openssh_with_the_recorded_keys(own: Project) -> None:
+    """The very words, and they lead in; an unknown robot is refused by OpenSSH too."""
+    words = own.fab("shell", "--hosts", "pi1", "--dry").out
+    assert words.startswith("ssh ")
+    assert str(own.folder / "known_hosts") in words
+    assert "StrictHostKeyChecking=yes" in words
+    done = subprocess.run(
+        (str(FAB), "shell", "--hosts", "pi1"),
+        cwd=own.folder,
+        env=own.environment,
+        input="",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, "Accepted" in own.robots["pi1"].server.log.read_text()) == (0, True)
+    (own.folder / "known_hosts").unlink()
+    assert own.fab("shell", "--hosts", "pi1").code == 255
+
+
+def test_a_live_status_goes_on_until_ctrl_c(own: Project) -> None:
+    """It draws the table again and again, and ends well."""
+    home = own.robots["pi1"]
+    process = subprocess.Popen(
+        (str(FAB), "status", "--watch", "--hosts", "pi1"),
+        cwd=own.folder,
+        env=own.environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    end = time.monotonic() + 30
+    while home.logins < 2:  # one look, then the connection that stays
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    time.sleep(0.2)
+    process.send_signal(2)
+    out, err = process.communicate(timeout=15)
+    assert (process.returncode, err) == (0, "")
+    assert "pi1" in out

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from fleet.errors import FleetError, Unreachable
+from fleet.robot.facts import Facts
+from fleet.rollout import reconnect
+from fleet.rollout.link import Link
+from fleet.rollout.observe import keep_observing, observe, observe_one
+from tests.support.homes import Home, Told, start
+from tests.support.sshd import Sshds, free_port
+
+
+@pytest.fixture
+def home(sshds: Sshds) -> Home:
+    return start(sshds, "pi1")
+
+
+def test_observing_resumes_when_the_robot_is_back(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The connection is lost during the question: the question is repeated, and the person is told."""
+    monkeypatch.setattr(reconnect, "_PAUSES", (0.1,))
+    link, told = Link(home.robot), Told()
+    link.session.close()
+    assert observe_one(link, images=False, progress=told).fleet.releases == ()
+    link.close()
+    assert told.said == [
+        ("pi1", "the connection was lost before the command started; trying again for 3 min")
+    ]
+
+
+def test_a_robot_that_was_never_reached_is_told_at_once(home: Home) -> None:
+    """It may be switched off, and the person waits for the answer."""
+    home.server.stop()
+    link, told = Link(home.robot), Told()
+    with pytest.raises(Unreachable):
+        observe_one(link, images=False, progress=told)
+    assert told.said == []
+
+
+def test_many_robots_are_observed(home: Home) -> None:
+    """Facts, or the reason why they are missing, in the order of the robots."""
+    away = home.robot.model_copy(update={"name": "pi2", "port": free_port()})
+    seen = observe([away, home.robot], progress=Told())
+    assert list(seen) == ["pi2", "pi1"]
+    assert isinstance(seen["pi1"], Facts)
+    assert isinstance(seen["pi2"], FleetError)
+
+
+def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home) -> None:
+    """Over one connection, until Ctrl-C; a robot that goes away is seen to be away."""
+    seen: dict[str, Facts | FleetError] = {}
+
+    def releases() -> tuple[str, ...] | None:
+        now = seen.get("pi1")
+        return now.fleet.releases if isinstance(now, Facts) else None
+
+    def person() -> None:
+        def until(what: object) -> None:
+            end = time.monotonic() + 20
+            while releases() != what and time.monotonic() < end:
+                time.sleep(0.01)
+
+        until(())
+        (home.path / ".fleet/releases/abc").mkdir(parents=True)
+        until(("abc",))
+        told.append(home.logins)
+        home.server.stop()
+        until(None)
+        told.append(releases())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    told: list[object] = []
+    thread = threading.Thread(target=person)
+    thread.start()
+    keep_observing([home.robot], seen, every=0.05, progress=Told())
+    thread.join()
+    assert told == [1, None]
