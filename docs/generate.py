@@ -236,10 +236,15 @@ Everything that `fab ship` needs is in `~/{paths.HOME}/`. These are plain files,
 {listing}
 ```
 
-To start a release without a desktop, log in to the robot and run `cd ~/{paths.HOME}/current && docker compose up -d`.
+To start a stack without a desktop, log in to the robot and run `cd ~/{paths.STACKS}/NAME/current && docker compose up -d`.
 
-- `compose.yaml` is your Compose file as it is. `compose.override.yaml` names the exact images and the platform, and adds
-  labels. `.env` holds the robot's own values and is readable by the login only.
+- `compose.yaml` of a release is what Compose on the desktop made of your files with this robot's values: one file, without
+  variables, with the exact images, absolute paths, and labels. It is JSON, which is also YAML. Only the login can read it.
+- `project/` holds the files that containers see read-only, `seeds/` those that the robot's data begins with.
+- `data/` holds what belongs to the robot ([keep what robots write](../how-to/keep-what-robots-write.md)).
+- `data-folders` of a release names the folders that must be in `data/`, `services` the services that must run, each with
+  its restart policy.
+- `runs/` is cleared of what is older than a week.
 - `~/{steps.SCRIPT}` is Docker's convenience script while `fab provision` runs it.
 
 ## In Docker
@@ -255,7 +260,8 @@ in it, `{daemon_json.PATH}` (size and number of log files), and the clock if it 
 
 ## To remove all of it
 
-Run this on the robot. It removes all containers and images that fleet brought, and its files:
+`fab remove --stack NAME --data` removes one stack with its data. To remove everything, also **the data of all stacks**, run
+this on the robot. It removes all containers and images that fleet brought, and its files:
 
 ```sh
 docker ps -aq --filter label=fleet.release | xargs -r docker rm -f
