@@ -106,7 +106,8 @@ All keys, from [`inventory.schema.json`](../../inventory.schema.json). The comme
 [`inventory.yaml`](../../inventory.yaml). `fab inventory` shows the values that each robot ends up with.
 
 Paths are relative to the inventory file. A robot gets the values of `defaults`, then those of its groups in the order of
-the file, then its own. Later values win; `ros`, `docker`, `environment` and `files` are merged key by key.
+the file, then its own. Later values win; `ros`, `docker`, `environment` and `files` are merged key by key,
+`stack` and `pass_environment` are replaced as a whole.
 """,
         "## The file\n\n" + _table(schema["properties"], required=schema.get("required", [])),
     ]
@@ -154,7 +155,8 @@ def _type(value: dict[str, Any]) -> str:  # noqa: PLR0911  one line for each for
         return f"[{name}](#{name.lower()})"
     if choices := value.get("anyOf"):
         kinds = dict.fromkeys(_type(choice) for choice in choices if choice.get("type") != "null")
-        return " or ".join(kinds)
+        # A list's own choices come last, where no other kind can be taken for one of them.
+        return " or ".join(sorted(kinds, key=lambda kind: kind.startswith("list of")))
     if "enum" in value:
         return ", ".join(f"`{choice}`" for choice in value["enum"])
     match value.get("type"):

@@ -122,7 +122,7 @@ def build(
         "limit": "highest upload rate of all robots together, per second, such as 8Mbit or 1MB",
         "retry_for": "seconds to retry a lost connection; default: 180",
         "keep": "releases to keep on each robot; default: 3",
-        "wait": "seconds that containers may take to become healthy; default: 180, and the longest start_period",
+        "wait": "seconds that containers may take to become healthy; default: 180 plus the longest start_period",
         "prefer": "whose version of a file wins that robot and desktop have both changed: robot or desktop",
         "renamed": "the robots were renamed in the inventory: go on though they were shipped under another name",
     }

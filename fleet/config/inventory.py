@@ -136,7 +136,7 @@ class StackValues(Frozen):
     )
     wait: Annotated[int, Field(ge=1, le=86400)] | None = Field(
         default=None,
-        description="Seconds that containers may take to become healthy. Default: 180, and the longest start_period.",
+        description="Seconds that containers may take to become healthy. Default: 180 plus the longest start_period.",
     )
 
 
@@ -216,6 +216,7 @@ class InventoryFile(Frozen):
         default=[StackValues(files=["docker/compose.yaml"])],
         description="What runs on the robots: a Compose file, or a list of stacks.",
         validate_default=False,
+        json_schema_extra={"default": "docker/compose.yaml"},  # the short form
     )
     known_hosts: Text = Field(default="known_hosts", description="Host keys, recorded by `fab trust`.")
     include: list[Include] | None = Field(
@@ -315,8 +316,9 @@ def _check(document: Document) -> tuple[dict[str, Any], list[merge.Complaint]]:
     complaints = [(_written_at(error["loc"], document), _sentence(error)) for error in errors]
     if errors:
         # The sound rest goes on, so that its problems show in the same run.
-        pairs = zip(errors, complaints, strict=True)
-        unsound = [where[:-1] if error["type"] == "missing" else where for error, (where, _) in pairs]
+        # What lacks a key is unsound as a whole.
+        places = [error["loc"][:-1] if error["type"] == "missing" else error["loc"] for error in errors]
+        unsound = [_written_at(place, document) for place in places]
         file, _ = _validated(document.without(unsound))
     always = {"stack": [one.model_dump() for one in file.stack], "known_hosts": file.known_hosts}
     return {**file.model_dump(exclude_unset=True), **always}, complaints

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.config import yamlfile
-from fleet.config.inventory import Docker, Inventory, Robot, Ros, json_schema, load
+from fleet.config.inventory import Docker, Inventory, Robot, Ros, StackFiles, json_schema, load
 from fleet.errors import InventoryError, SelectionError
 from tests.support.inventory_files import inventory, write
 
@@ -32,9 +32,15 @@ def test_all_defaults(folder: Path) -> None:
     fleet = inventory("robots: {pi1: }")
     assert fleet == Inventory(
         path=Path("inventory.yaml"),
-        stack=folder / "docker/compose.yaml",
         known_hosts=folder / "known_hosts",
-        robots={"pi1": Robot(name="pi1", address="pi1", known_hosts=folder / "known_hosts")},
+        robots={
+            "pi1": Robot(
+                name="pi1",
+                address="pi1",
+                stacks=(StackFiles(files=(folder / "docker/compose.yaml",)),),
+                known_hosts=folder / "known_hosts",
+            )
+        },
         groups={"all": ("pi1",)},
     )
     assert fleet.robots["pi1"].ros == Ros(master="own")
@@ -90,6 +96,7 @@ robots:
             "g_1": "yes",
         },
         files={"cam.yaml": folder / "config/cam.yaml", "a/b c": folder / "config/cam.yaml"},
+        stacks=(StackFiles(files=(folder / "stacks/my.yaml",)),),
         known_hosts=folder / "keys/hosts",
     )
 
@@ -188,11 +195,11 @@ def test_example_as_cloned() -> None:
     """The example as it comes includes the lab where there is one, and is sound without."""
     fleet = inventory(example(everything=False))
     assert fleet.robots == {}
-    assert fleet.stack == Path.cwd() / "docker/compose.yaml"
     write("defaults: {user: root}\nrobots: {lab-pi1: 127.0.0.1}", ".lab/inventory.yaml")
     fleet = inventory(example(everything=False))
     assert [robot.name for robot in fleet.select("fleet")] == ["lab-pi1"]
     assert fleet.robots["lab-pi1"].user == "root"
+    assert fleet.robots["lab-pi1"].stacks == (StackFiles(files=(Path.cwd() / "docker/compose.yaml",)),)
 
 
 def test_example_in_full() -> None:
@@ -203,6 +210,14 @@ def test_example_in_full() -> None:
     assert fleet.groups["lidar"] == ("pi1", "pi2")
     assert fleet.robots["pi2"].environment == {"TALKER_RATE": "1", "LIDAR": "/dev/ttyUSB0"}
     assert fleet.robots["pi3"].environment == {"TALKER_RATE": "0.5"}
+    assert [len(robot.stacks) for robot in fleet.robots.values()] == [2, 2, 1]
+    assert fleet.robots["pi1"].stacks[1] == StackFiles(
+        files=(Path.cwd() / "stacks/lidar/compose.yaml", Path.cwd() / "stacks/lidar/compose.site.yaml"),
+        outside=(Path.cwd() / "config",),
+        settle=30,
+        wait=600,
+    )
+    assert fleet.robots["pi1"].pass_environment == ("MAP_TOKEN",)
 
 
 def keys(value: object) -> set[str]:
