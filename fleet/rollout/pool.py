@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fleet.errors import FleetError
 from fleet.plan.outcome import Outcome, failure
-from fleet.rollout.link import Link
+from fleet.rollout.link import GOES_ON, Link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,7 +50,12 @@ def each(
             link.close()
             name = link.robot.name
             if name not in outcomes:
-                outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
+                outcomes[name] = Outcome(
+                    robot=name,
+                    status="skipped",
+                    reason="interrupted by Ctrl-C",
+                    cure=GOES_ON if link.goes_on else "",
+                )
                 progress.finished(outcomes[name])
     except BrokenPipeError:  # the reader of the output is gone (`| head`)
         for link in links:

@@ -93,7 +93,7 @@ def test_the_image_it_came_from_may_go(fleet: Project) -> None:
     assert set(pruned.status.values()) == {"done"}
     for pi in fleet.lab.pis:
         assert len(pi.exec("docker", "image", "ls", "--quiet", NAME).split()) == 2
-        assert len(pi.exec("ls", "/home/pi/.fleet/releases").split()) == 2
+        assert len(pi.exec("ls", "/home/pi/.fleet/stacks/tiny/releases").split()) == 2
         prove(pi)
     assert set(fleet.well("prune", "--keep", "2", "--json").status.values()) == {"unchanged"}
 
