@@ -56,7 +56,7 @@ def test_everything_said(folder: Path) -> None:
     write("", "install.sh")
     robot = inventory(
         r"""
-stack: {files: [stacks/my.yaml, stacks/more.yaml], outside: [../shared], settle: 0, wait: 900}
+stack: {files: [stacks/my.yaml, stacks/more.yaml], outside: [shared], settle: 0, wait: 900}
 known_hosts: keys/hosts
 robots:
   pi1:
@@ -101,7 +101,7 @@ robots:
         stacks=(
             StackFiles(
                 files=(folder / "stacks/my.yaml", folder / "stacks/more.yaml"),
-                outside=(folder.parent / "shared",),
+                outside=(folder / "shared",),
                 settle=0,
                 wait=900,
             ),

@@ -142,7 +142,7 @@ robots: {pi1: }
     assert fleet.robots["pi1"].known_hosts == fleet.known_hosts == folder / "known_hosts"
     stacks = {name: robot.stacks[0].files for name, robot in fleet.robots.items()}
     assert stacks["pi1"] == (folder / "mine.yaml",)
-    assert stacks["lab1"] == (folder / ".lab/docker/compose.yaml",)
+    assert stacks["lab1"] == stacks["pi1"]
     assert fleet.groups == {
         "virtual": ("lab1", "lab2"),
         "both": ("lab1", "pi1"),
