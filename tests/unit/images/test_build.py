@@ -34,7 +34,11 @@ def project(tmp_path: Path) -> Project:
 
 
 def planned(
-    project: Project, *, platform: str = "linux/arm64", client: tuple[str, ...] = BUILDX, **model: Any  # noqa: ANN401
+    project: Project,
+    *,
+    platform: str = "linux/arm64",
+    client: tuple[str, ...] = BUILDX,
+    **model: Any,  # noqa: ANN401
 ) -> tuple[Command, ...]:
     stack = read(Resolved(model={"name": "robot", **model}), project)
     return build.plan(stack, project, platform=platform, client=client)
@@ -43,7 +47,7 @@ def planned(
 def built(project: Project, *, client: tuple[str, ...] = BUILDX, **keys: Any) -> Command:  # noqa: ANN401
     """The command that builds one service."""
     service = {"image": "a", "build": {"context": CONTEXT, "dockerfile": "Dockerfile", **keys}}
-    (made,) = planned(project, client=client, services={"a": service}
+    (made,) = planned(project, client=client, services={"a": service})
     return made
 
 
@@ -81,7 +85,11 @@ def test_a_build_is_for_one_platform_with_a_tag_of_its_own(project: Project) -> 
         ("provenance", "mode=max", ["--provenance", "mode=max"]),
         ("sbom", True, ["--sbom", "true"]),
         ("extra_hosts", ["pi=10.0.0.1"], ["--add-host", "pi:10.0.0.1"]),
-        ("ulimits", {"nproc": 5, "nofile": {"soft": 1, "hard": 2}}, ["--ulimit", "nproc=5", "--ulimit", "nofile=1:2"]),
+        (
+            "ulimits",
+            {"nproc": 5, "nofile": {"soft": 1, "hard": 2}},
+            ["--ulimit", "nproc=5", "--ulimit", "nofile=1:2"],
+        ),
         ("platforms", ["linux/arm64", "linux/amd64"], []),
         ("additional_contexts", {"lib": f"{CONTEXT}/lib"}, ["--build-context", "lib={real}/lib"]),
         ("additional_contexts", {"b": "docker-image://x"}, ["--build-context", "b=docker-image://x"]),
@@ -99,9 +107,18 @@ def test_each_key_becomes_a_flag(project: Project, key: str, value: object, flag
     ("keys", "sentence"),
     [
         ({"privileged": True}, "services.a.build.privileged is not supported by fleet"),
-        ({"platforms": ["linux/amd64"]}, "services.a.build.platforms does not name the robot's platform linux/arm64"),
-        ({"additional_contexts": {"b": "service:c"}}, "services.a.build.additional_contexts refers to service:c"),
-        ({"secrets": [{"source": "t"}]}, "services.a.build.secrets names t, which is neither a file nor a variable"),
+        (
+            {"platforms": ["linux/amd64"]},
+            "services.a.build.platforms does not name the robot's platform linux/arm64",
+        ),
+        (
+            {"additional_contexts": {"b": "service:c"}},
+            "services.a.build.additional_contexts refers to service:c",
+        ),
+        (
+            {"secrets": [{"source": "t"}]},
+            "services.a.build.secrets names t, which is neither a file nor a variable",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_its_line(
@@ -119,7 +136,9 @@ def test_what_cannot_be_done_is_refused_with_its_line(
 def test_what_needs_buildx_is_refused_without_it(project: Project, key: str) -> None:
     """An old client would fail with a word that nobody knows."""
     with pytest.raises(ComposeError, match=rf"build\.{key} needs Docker's buildx plugin"):
-        built(project, client=OLD, **{key: {"a": "docker-image://x"} if key == "additional_contexts" else ["x"]})
+        built(
+            project, client=OLD, **{key: {"a": "docker-image://x"} if key == "additional_contexts" else ["x"]}
+        )
 
 
 def test_secrets_come_from_files_and_variables(project: Project) -> None:
@@ -129,7 +148,10 @@ def test_secrets_come_from_files_and_variables(project: Project) -> None:
         services={
             "a": {
                 "image": "a",
-                "build": {"context": CONTEXT, "secrets": [{"source": "one"}, {"source": "two", "target": "npm"}]},
+                "build": {
+                    "context": CONTEXT,
+                    "secrets": [{"source": "one"}, {"source": "two", "target": "npm"}],
+                },
             }
         },
         secrets={"one": {"file": f"{CONTEXT}/one.txt"}, "two": {"environment": "TOKEN"}},
@@ -142,7 +164,9 @@ def test_a_dockerfile_in_the_compose_file(project: Project) -> None:
     """It is the command's standard input, with Compose's `$$` as `$`."""
     (made,) = planned(
         project,
-        services={"a": {"image": "a", "build": {"context": CONTEXT, "dockerfile_inline": "FROM x\nRUN echo $$A\n"}}},
+        services={
+            "a": {"image": "a", "build": {"context": CONTEXT, "dockerfile_inline": "FROM x\nRUN echo $$A\n"}}
+        },
     )
     assert made.feed == "FROM x\nRUN echo $A\n"
     assert made.argv[-3:] == ("--file", "-", str(project.real))
@@ -165,7 +189,11 @@ def test_a_dockerfile_that_is_not_there(project: Project) -> None:
 
 def test_services_that_share_an_image_make_it_once(project: Project) -> None:
     """Also where the first of them does not say how."""
-    services = {"one": {"image": "a"}, "two": {"image": "a", "build": {"context": CONTEXT}}, "three": {"build": {"context": CONTEXT}}}
+    services = {
+        "one": {"image": "a"},
+        "two": {"image": "a", "build": {"context": CONTEXT}},
+        "three": {"build": {"context": CONTEXT}},
+    }
     assert [made.reference for made in planned(project, services=services)] == [
         "a:latest-arm64",
         "robot-three:latest-arm64",
@@ -185,7 +213,9 @@ def test_a_service_without_a_build_is_pulled_for_its_platform(project: Project) 
 
 def test_bases_of_debian_are_those_that_the_compose_file_asks_for(project: Project) -> None:
     """The robot's, and for what runs while it is built this computer's own; other variables are not fleet's."""
-    project.files[0].write_text("services: {a: {build: {args: [A=${FLEET_DEBIAN_BOOKWORM:-x}, B=$FLEET_BUILD_DEBIAN_TRIXIE, C=$DEBIAN]}}}")
+    project.files[0].write_text(
+        "services: {a: {build: {args: [A=${FLEET_DEBIAN_BOOKWORM:-x}, B=$FLEET_BUILD_DEBIAN_TRIXIE, C=$DEBIAN]}}}"
+    )
     assert build.bases(project, "linux/arm/v7") == {
         "FLEET_DEBIAN_BOOKWORM": Base(suite="bookworm", platform="linux/arm/v7"),
         "FLEET_BUILD_DEBIAN_TRIXIE": Base(suite="trixie", platform=desktop_platform()),
