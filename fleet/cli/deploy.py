@@ -279,9 +279,9 @@ def remove(
     json: bool = False,
     inventory: str = "",
 ) -> int:
-    """Take a stack off robots: its containers, networks and releases.
+    """Take a stack off robots, and leave its data.
 
-    What its containers have written stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
+    Its containers, networks and releases go. Its data stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
     deleted too, after a question: nothing brings it back.
     """
     if not stack:
