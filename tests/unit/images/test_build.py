@@ -96,7 +96,7 @@ def test_a_build_is_for_one_platform_with_a_tag_of_its_own(project: Project) -> 
         ("x-mine", "y", []),
     ],
 )
-def test_each_key_becomes_a_flag(project: Project, key: str, value: object, flags: list[str]) -> None:
+def test_each_key_becomes_a_flag(project: Project, key: str, value: Any, flags: list[str]) -> None:  # noqa: ANN401
     """A value may hold anything: it is one word of the command."""
     plain = built(project).argv
     words = [flag.replace("{real}", str(project.real)) for flag in flags]
