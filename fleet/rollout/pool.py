@@ -48,20 +48,19 @@ def each(
     except KeyboardInterrupt:
         for link in links:
             link.close()
-            name = link.robot.name
-            if name not in outcomes:
-                outcomes[name] = Outcome(
-                    robot=name,
-                    status="skipped",
-                    reason="interrupted by Ctrl-C",
-                    cure=GOES_ON if link.goes_on else "",
-                )
-                progress.finished(outcomes[name])
+            if link.robot.name not in outcomes:
+                outcomes[link.robot.name] = _interrupted(link)
+                progress.finished(outcomes[link.robot.name])
     except BrokenPipeError:  # the reader of the output is gone (`| head`)
         for link in links:
             link.close()
         raise
     return tuple(outcomes[link.robot.name] for link in links)
+
+
+def _interrupted(link: Link) -> Outcome:
+    cure = GOES_ON if link.goes_on else ""
+    return Outcome(robot=link.robot.name, status="skipped", reason="interrupted by Ctrl-C", cure=cure)
 
 
 def _work_off(

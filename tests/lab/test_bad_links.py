@@ -76,7 +76,7 @@ def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
     """Noticed within 30 s; the robot goes on by itself, goes back, and the next ship is what it should be."""
     before = shipped(project)[0][0]
     project.stack(tick=STARTING)
-    with project.start("ship", "--hosts", "pi1", "--retry-for", "0", "--wait", "15") as fab:
+    with project.start("ship", "--hosts", "pi1", "--retry-for", "0", "--wait", "60") as fab:
         assert eventually(lambda: processes(pi, "swap ship tiny"))
         with cut(pi):
             since = time.monotonic()
@@ -85,7 +85,7 @@ def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
     assert said.code == 1
     assert "start release" in said.out
     assert "the robot goes on by itself" in said.out
-    assert eventually(lambda: not processes(pi, "swap ship tiny"), within=60)
+    assert eventually(lambda: not processes(pi, "swap ship tiny"), within=120)
     assert (current(pi), running(pi)["tick"][1]) == (before, before)
     project.stack(tick=service())
     project.colour("green")
