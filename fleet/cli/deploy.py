@@ -157,13 +157,7 @@ def ship(
         screen.warnings(
             {name: [text for one in ones for text in one.warnings] for name, ones in found.items()}
         )
-        releases = {
-            robot.name: [
-                (one, stacks.release(robot, one, images=images_of(one, robot, store)))
-                for one in found[robot.name]
-            ]
-            for robot in robots
-        }
+        releases = {robot.name: stacks.releases(robot, found[robot.name], store) for robot in robots}
         planner = _Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]
         go = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)

@@ -84,7 +84,7 @@ def test_variables_of_this_shell_are_passed_on_by_name_only(monkeypatch: pytest.
     monkeypatch.setenv("TOKEN", "secret")
     assert "TOKEN" not in environment_of(PI)
     passing = PI.model_copy(update={"pass_environment": ("TOKEN",)})
-    assert environment_of(passing)["TOKEN"] == "secret"
+    assert environment_of(passing)["TOKEN"] == "secret"  # noqa: S105  of a test
     monkeypatch.delenv("TOKEN")
     with pytest.raises(UsageError, match="passes TOKEN of your shell on to pi1, and it is not set"):
         environment_of(passing)
