@@ -236,10 +236,10 @@ Everything that `fab ship` needs is in `~/{paths.HOME}/`. These are plain files,
 {listing}
 ```
 
-To start a release without a desktop, log in to the robot and run `cd ~/{paths.HOME}/current && docker compose up -d`.
+To start a release without a desktop, log in to the robot and run `cd ~/{paths.STACKS}/NAME/current && docker compose up -d`.
 
-- `compose.yaml` is your Compose file as it is. `compose.override.yaml` names the exact images and the platform, and adds
-  labels. `.env` holds the robot's own values and is readable by the login only.
+- `compose.yaml` is what Compose reads in your project with this robot's values, with the exact images. It is readable by the
+  login only. `project/` holds the files that containers see read-only, `seeds/` those that become the robot's own data.
 - `~/{steps.SCRIPT}` is Docker's convenience script while `fab provision` runs it.
 
 ## In Docker
@@ -255,7 +255,7 @@ in it, `{daemon_json.PATH}` (size and number of log files), and the clock if it 
 
 ## To remove all of it
 
-Run this on the robot. It removes all containers and images that fleet brought, and its files:
+Run this on the robot. It removes all containers and images that fleet brought, its files, and the data in them:
 
 ```sh
 docker ps -aq --filter label=fleet.release | xargs -r docker rm -f
