@@ -76,8 +76,8 @@ def restless(
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("ship --dry", "receive what is missing"),
-        ("--dry ship", "receive what is missing"),
+        ("ship --dry", "Receive the missing uploads"),
+        ("--dry ship", "Receive the missing uploads"),
         ("ship --dry --json", '"plans"'),
         ("rollback --dry", "compose up"),
         ("start --dry", "compose up"),
