@@ -252,9 +252,9 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         "pathlib.Path('/root/held').touch()\n"
         "def seen(*argv):\n"
         "    while s.run(argv, capture_output=True).returncode: time.sleep(0.05)\n"
-        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/output')\n"
         "locks[1].close()\n"
-        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/output')\n"
         "locks[0].close()\n"
     )
     for target in made(f"{LAB}-morning", tmp_path):
