@@ -219,7 +219,9 @@ def test_a_package_source_that_poisons_apt_is_taken_back(blank: Target) -> None:
         b"> /etc/apt/sources.list.d/docker.list\napt-get -qq update >/dev/null\n"
     )
     outcome, _ = blank.provision(poison)
-    assert outcome.reason.startswith("apt rejects the package source http://deb.debian.org/debian nosuch")
+    assert outcome.reason.startswith(
+        "apt rejects the package source http://deb.debian.org/debian nosuch"
+    )
     assert "went back: remove Docker's package source" in outcome.reason
     assert "docker.list" not in blank.root("ls /etc/apt/sources.list.d; apt-get -qq update")
 
@@ -250,9 +252,9 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         "pathlib.Path('/root/held').touch()\n"
         "def seen(*argv):\n"
         "    while s.run(argv, capture_output=True).returncode: time.sleep(0.05)\n"
-        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/output')\n"
         "locks[1].close()\n"
-        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/output')\n"
         "locks[0].close()\n"
     )
     for target in made(f"{LAB}-morning", tmp_path):
