@@ -219,9 +219,7 @@ def test_a_package_source_that_poisons_apt_is_taken_back(blank: Target) -> None:
         b"> /etc/apt/sources.list.d/docker.list\napt-get -qq update >/dev/null\n"
     )
     outcome, _ = blank.provision(poison)
-    assert outcome.reason.startswith(
-        "apt rejects the package source http://deb.debian.org/debian nosuch"
-    )
+    assert outcome.reason.startswith("apt rejects the package source http://deb.debian.org/debian nosuch")
     assert "went back: remove Docker's package source" in outcome.reason
     assert "docker.list" not in blank.root("ls /etc/apt/sources.list.d; apt-get -qq update")
 
