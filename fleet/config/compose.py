@@ -304,7 +304,7 @@ _WORDINGS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
         r"decoding failed due to the following error\(s\):\s*'services\[(.+?)\]([^']*)' (.*)",
         r"services.\1\2: \3",
     ),
-    (r"^\s*additional propert\w+ (.+) not allowed", r"\1: there is no such key"),
+    (r"^\s*additional propert(?:y|ies) (.+) not allowed", r"\1: there is no such key"),
     (r" false schema", ": there is no such key"),
     (r" has neither an image nor a build context specified", " has neither `image:` nor `build:`"),
     (r" declares mutually exclusive (`.*`)", r" cannot have both \1"),

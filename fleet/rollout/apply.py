@@ -224,7 +224,7 @@ def _aftermath(
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
         link.reconnect()
     if isinstance(problem, LinkLost | Unreachable):
-        return reason, problem.cure or (GOES_ON if step.detached else AGAIN)
+        return reason, GOES_ON if step.detached else problem.cure or AGAIN
     for question in plan.explain if touched else ():
         if details := _ask(question, link):
             reason += "\n" + details
