@@ -292,6 +292,9 @@ def _required(found: re.Match[str]) -> str:
 
 def _circle(found: re.Match[str]) -> str:
     names = re.findall(r"(?:extends )?(\S+) in ", found[1])
+    if len(names) > 1 and names[0] == names[-1]:  # Compose begins anywhere in the circle
+        first = names.index(min(names))
+        names = [*names[first:-1], *names[: first + 1]]
     return f"services extend each other in a circle: {' -> '.join(names)}"
 
 
