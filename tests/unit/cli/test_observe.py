@@ -30,7 +30,7 @@ def test_status_of_robots_to_which_nothing_was_shipped(mine: Project) -> None:
     """A row each; the one that is away makes the code 1, the others do not."""
     done = mine.fleet("status")
     rows = [line.split() for line in done.out.splitlines()]
-    assert rows[0][:4] == ["robot", "reachable", "release", "containers"]
+    assert rows[0][:4] == ["robot", "reachable", "stack", "release"]
     assert [row[:2] for row in rows[1:]] == [["pi1", "yes"], ["pi2", "yes"], ["away", "no"]]
     assert done.code == 1
     assert mine.fleet("status", "--hosts", "fleet").code == 0
