@@ -65,6 +65,8 @@ python_makes_environments() { python3 -c 'import ensurepip, venv' >/dev/null 2>&
 # Debian's certificates of its archive have to be there for mmdebstrap; Ubuntu does not bring them.
 debian_keys() { [ -e /usr/share/keyrings/debian-archive-keyring.gpg ] || [ -e /usr/share/keyrings/debian-archive-keyring.pgp ]; }
 
+static_busybox() { have busybox && ! head -c 4096 "$(command -v busybox)" | grep -q ld-linux; }
+
 # --- What is missing?
 
 known_to_apt() { [ -n "$(apt-cache search --names-only "^$1\$" 2>/dev/null)" ]; }
@@ -109,6 +111,8 @@ missing() {
     ! sshd_missing || echo openssh-server
     [ -z "$for_tests" ] || have zstd || echo zstd
     [ -z "$for_tests" ] || have ip || echo iproute2
+    # The one program of the tests' images: they have no libraries.
+    [ -z "$for_tests" ] || static_busybox || echo busybox-static
 }
 
 # Tests start SSH servers of their own, as programs; nobody's computer begins to let people in because of that.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -30,7 +30,7 @@ from fleet.transfer.rate_limit import RateLimiter, bytes_per_second
 from fleet.transfer.sender import Sender
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from fleet.cli.stacks import RobotStack
     from fleet.config.compose import Project
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from fleet.plan.compose_steps import Conflict
     from fleet.plan.step import Plan
     from fleet.robot.facts import Facts
+    from fleet.robot.release import Release
     from fleet.transfer.delivery import Strategy
 
 
@@ -147,41 +148,18 @@ def ship(
     """
     robots, screen = select(inventory, hosts)[1], Screen()
     whose.once(robots)
-    limiter, run = RateLimiter(bytes_per_second(limit)), secrets.token_hex(8)
-    conflict = _conflict(prefer)
-    machines = whose.Machines()
+    options = _Options(
+        run=secrets.token_hex(8), wait=wait, conflict=_conflict(prefer), keep=keep, renamed=renamed
+    )
+    limiter = RateLimiter(bytes_per_second(limit))
     with Stacks() as stacks, Store() as store, Sender.using(store, limiter=limiter, by=whoami()) as sender:
         found = stacks.of(robots, only=stack)
         screen.warnings(
             {name: [text for one in ones for text in one.warnings] for name, ones in found.items()}
         )
-        releases = {
-            robot.name: [
-                (one, stacks.release(robot, one, images=images_of(one, robot, store)))
-                for one in found[robot.name]
-            ]
-            for robot in robots
-        }
-
-        def make(robot: Robot, facts: Facts, *, way: Strategy) -> list[Plan]:
-            readiness.ready(facts, robot=robot)
-            machines.claim(robot, facts, renamed=renamed)
-            plans = []
-            for one, release in releases[robot.name]:
-                whose.same_stack(one, facts, robot=robot)
-                missing = shipping.missing(release, facts)
-                plan = shipping.plan(
-                    robot=robot,
-                    release=release,
-                    facts=facts,
-                    delivery=sender.deliver(missing, robot=robot, facts=facts, strategy=way),
-                    request=_request(one, run=run, wait=wait, conflict=conflict),
-                    keep=keep,
-                )
-                plans.append(plan)
-            return _named(plans, [one.stack.name for one, _ in releases[robot.name]])
-
-        ladder = [partial(make, way=way) for way in STRATEGIES]
+        releases = {robot.name: stacks.releases(robot, found[robot.name], store) for robot in robots}
+        planner = _Planner(releases, sender, options)
+        ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]
         go = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
         return go(dry=dry, json=json, screen=screen)
 
@@ -279,9 +257,9 @@ def remove(
     json: bool = False,
     inventory: str = "",
 ) -> int:
-    """Take a stack off robots: its containers, networks and releases.
+    """Take a stack off robots, and leave its data.
 
-    What its containers have written stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
+    Its containers, networks and releases go. Its data stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
     deleted too, after a question: nothing brings it back.
     """
     if not stack:
@@ -304,6 +282,59 @@ def remove(
     return execute(robots, delete, dry=dry, json=json, screen=screen)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Options:
+    """What a person asked of one `fab ship`, for all robots; ``run`` is a word of this run's own."""
+
+    run: str
+    wait: int
+    conflict: Conflict
+    keep: int
+    renamed: bool
+
+    def request(self, one: RobotStack) -> Request:
+        """How long a stack may take, and who asks."""
+        usual = one.spec.wait or shipping.HEALTHY_WITHIN + round(one.stack.start_period)
+        return Request(
+            by=whoami(),
+            run=self.run,
+            wait=self.wait or usual,
+            settle=one.spec.settle,
+            conflict=self.conflict,
+        )
+
+
+class _Planner:
+    """Plans the releases of one `fab ship` for each robot; called from many threads."""
+
+    def __init__(
+        self, releases: Mapping[str, Sequence[tuple[RobotStack, Release]]], sender: Sender, options: _Options
+    ) -> None:
+        self._releases = releases
+        self._sender = sender
+        self._options = options
+        self._machines = whose.Machines()
+
+    def plans(self, robot: Robot, facts: Facts, *, strategy: Strategy) -> list[Plan]:
+        """One plan for each of a robot's stacks. Raises `NotReady` if the robot cannot take one of them."""
+        readiness.ready(facts, robot=robot)
+        self._machines.claim(robot, facts, renamed=self._options.renamed)
+        plans = []
+        for one, release in self._releases[robot.name]:
+            whose.same_stack(one, facts, robot=robot)
+            missing = shipping.missing(release, facts)
+            plan = shipping.plan(
+                robot=robot,
+                release=release,
+                facts=facts,
+                delivery=self._sender.deliver(missing, robot=robot, facts=facts, strategy=strategy),
+                request=self._options.request(one),
+                keep=self._options.keep,
+            )
+            plans.append(plan)
+        return _named(plans, [one.stack.name for one, _ in self._releases[robot.name]])
+
+
 VERBS = (trust, provision, build, ship, rollback, prune, start, stop, restart, remove)
 
 
@@ -323,11 +354,6 @@ def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, invent
 
 def _plain(run: str) -> Request:
     return Request(by=whoami(), run=run)
-
-
-def _request(one: RobotStack, *, run: str, wait: int, conflict: Conflict) -> Request:
-    usual = one.spec.wait or shipping.HEALTHY_WITHIN + round(one.stack.start_period)
-    return Request(by=whoami(), run=run, wait=wait or usual, settle=one.spec.settle, conflict=conflict)
 
 
 def _conflict(word: str) -> Conflict:

@@ -56,19 +56,10 @@ def execute(
             progress.step_started(link.robot.name, OBSERVE, None)
             facts = observe_one(link, images=images, progress=progress, retry_for=retry_for)
             made = plans[link.robot.name] = make(link.robot, facts)
-            outcomes: list[tuple[str, Outcome]] = []
-            for plan in made:
-                outcome = (
-                    Outcome(robot=plan.robot, status="unchanged", summary=plan.summary)
-                    if dry
-                    else apply(
-                        plan, link, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for
-                    )
-                )
-                outcomes.append((plan.stack, outcome))
-                if outcome.unusable:
-                    break  # the next planner begins with what is left
-            return together(link.robot.name, outcomes)
+            if dry:
+                return Outcome(robot=link.robot.name, status="unchanged")
+            carry_out = partial(apply, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for)
+            return _apply_all(made, carry_out, link)
 
         outcomes = each(
             robots, partial(_climb, ladder=ladder, attempt=attempt, progress=progress), progress=progress
@@ -77,6 +68,17 @@ def execute(
         return screen.result(outcomes, json=json)
     in_order = [plan for robot in robots for plan in plans.get(robot.name, ())]
     return show_plans(in_order, outcomes, json=json, screen=screen)
+
+
+def _apply_all(plans: Sequence[Plan], carry_out: Callable[[Plan, Link], Outcome], link: Link) -> Outcome:
+    """Apply the plans of a robot's stacks, one after the other."""
+    outcomes: list[tuple[str, Outcome]] = []
+    for plan in plans:
+        outcome = carry_out(plan, link)
+        outcomes.append((plan.stack, outcome))
+        if outcome.unusable:
+            break  # the next planner begins with what is left
+    return together(link.robot.name, outcomes)
 
 
 def _climb(

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 PURPOSES: Mapping[str, Sequence[str]] = {
     "Set up": ("inventory", "trust", "provision"),
-    "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart"),
+    "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove"),
     "Look": ("status", "history", "logs", "listen", "run", "shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),
 }

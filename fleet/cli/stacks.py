@@ -91,6 +91,12 @@ class Stacks:
             values=one.environment,
         )
 
+    def releases(
+        self, robot: Robot, stacks: Sequence[RobotStack], store: Store
+    ) -> list[tuple[RobotStack, Release]]:
+        """The release of each of a robot's stacks, with the images of this computer."""
+        return [(one, self.release(robot, one, images=images_of(one, robot, store))) for one in stacks]
+
     def _project(self, spec: StackFiles) -> Project:
         if spec.files not in self._projects:
             self._projects[spec.files] = self._open.enter_context(compose.opened(spec.files))

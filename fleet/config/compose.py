@@ -292,6 +292,9 @@ def _required(found: re.Match[str]) -> str:
 
 def _circle(found: re.Match[str]) -> str:
     names = re.findall(r"(?:extends )?(\S+) in ", found[1])
+    if len(names) > 1 and names[0] == names[-1]:  # Compose begins anywhere in the circle
+        first = names.index(min(names))
+        names = [*names[first:-1], *names[: first + 1]]
     return f"services extend each other in a circle: {' -> '.join(names)}"
 
 
@@ -304,7 +307,7 @@ _WORDINGS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
         r"decoding failed due to the following error\(s\):\s*'services\[(.+?)\]([^']*)' (.*)",
         r"services.\1\2: \3",
     ),
-    (r"^\s*additional propert\w+ (.+) not allowed", r"\1: there is no such key"),
+    (r"^\s*additional propert(?:y|ies) (.+) not allowed", r"\1: there is no such key"),
     (r" false schema", ": there is no such key"),
     (r" has neither an image nor a build context specified", " has neither `image:` nor `build:`"),
     (r" declares mutually exclusive (`.*`)", r" cannot have both \1"),

@@ -141,11 +141,8 @@ class StackValues(Frozen):
 
 
 _Stack = Annotated[StackValues, BeforeValidator(_stack, json_schema_input_type=StackValues | Text)]
-Stacks = Annotated[
-    list[_Stack],
-    Field(min_length=1),
-    BeforeValidator(_stacks, json_schema_input_type=list[_Stack] | StackValues | Text),
-]
+_Several = Annotated[list[_Stack], Field(min_length=1)]
+Stacks = Annotated[_Several, BeforeValidator(_stacks, json_schema_input_type=_Several | StackValues | Text)]
 
 
 class Values(Frozen):
@@ -316,9 +313,8 @@ def _check(document: Document) -> tuple[dict[str, Any], list[merge.Complaint]]:
     complaints = [(_written_at(error["loc"], document), _sentence(error)) for error in errors]
     if errors:
         # The sound rest goes on, so that its problems show in the same run.
-        # What lacks a key is unsound as a whole.
-        places = [error["loc"][:-1] if error["type"] == "missing" else error["loc"] for error in errors]
-        unsound = [_written_at(place, document) for place in places]
+        wrong = [error["loc"][:-1] if error["type"] == "missing" else error["loc"] for error in errors]
+        unsound = [_written_at(location, document) for location in wrong]
         file, _ = _validated(document.without(unsound))
     always = {"stack": [one.model_dump() for one in file.stack], "known_hosts": file.known_hosts}
     return {**file.model_dump(exclude_unset=True), **always}, complaints

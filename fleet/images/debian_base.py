@@ -84,7 +84,7 @@ def ensure(suite: str, platform: str, *, say: Callable[[str], None]) -> str:
         say(
             f"{base.tag}: no registry answers, building it from Debian's archive (half a minute to a few minutes)"
         )
-        bootstrap(base, rootfs)
+        bootstrap(base, rootfs, say=say)
     _load(base, rootfs)
     return base.tag
 
@@ -97,8 +97,12 @@ def cached_rootfs(base: Base) -> Path:
     return cache / f"debian-{base.suite}-{base.architecture}-{recipe}.tar"
 
 
-def bootstrap(base: Base, rootfs: Path) -> None:
-    """Build the root file system with mmdebstrap, whole or not at all. Raises ``DesktopError``."""
+def bootstrap(base: Base, rootfs: Path, *, say: Callable[[str], None] = print) -> None:
+    """Build the root file system with mmdebstrap, whole or not at all. Raises ``DesktopError``.
+
+    If the archive's security suite contradicts itself for this architecture, as a mirror does while it is renewed, the
+    system is built without that suite, and ``say`` is told.
+    """
     if not runs(base.platform):
         raise DesktopError(
             f"this computer cannot run {base.platform} programs, which building {base.tag} needs",
@@ -109,12 +113,23 @@ def bootstrap(base: Base, rootfs: Path) -> None:
         # A user namespace's root must be able to reach the folder.
         Path(folder).chmod(0o755)
         unfinished = Path(folder) / "rootfs.tar"
-        _run_mmdebstrap(base, unfinished)
+        try:
+            _run_mmdebstrap(base, unfinished)
+        except DesktopError as problem:
+            if not _security_is_broken(problem.what):
+                raise
+            say(f"{base.tag}: the archive's security suite contradicts itself; building without it")
+            unfinished.unlink(missing_ok=True)
+            _run_mmdebstrap(base, unfinished, security=False)
         unfinished.replace(rootfs)
 
 
-def _run_mmdebstrap(base: Base, rootfs: Path) -> None:
-    command = _bootstrap_command(base, rootfs)
+def _security_is_broken(text: str) -> bool:
+    return "unexpected size" in text.lower()
+
+
+def _run_mmdebstrap(base: Base, rootfs: Path, *, security: bool = True) -> None:
+    command = _bootstrap_command(base, rootfs)[: None if security else -1]
     environment = os.environ | {"SOURCE_DATE_EPOCH": NEWEST_FILE}
     try:
         done = subprocess.run(

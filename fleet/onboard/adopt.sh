@@ -11,7 +11,11 @@ mkdir -p "$here/releases"
 for old in releases/*; do
     if [ -L "$old" ] || [ ! -e "$old/compose.override.yaml" ]; then continue; fi
     mv -T "$old" "$here/$old"
-    ln -s "../$here/$old" "$old"
+done
+# A loop of its own: the power may have been cut between a folder and its link.
+for new in "$here"/releases/*; do
+    old=releases/${new##*/}
+    if [ -e "$new/compose.override.yaml" ] && [ ! -e "$old" ]; then ln -sfn "../$new" "$old"; fi
 done
 [ ! -f history ] || [ -e "$here/history" ] || mv history "$here/history"
 if [ -L current ]; then

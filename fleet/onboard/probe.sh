@@ -85,8 +85,10 @@ for here in "$HOME"/.fleet/stacks/*/; do
     tail -n 200 "$here/history" 2>/dev/null | tr -d '\000' | cut -c1-1000 | sed 's/^/event /'
 done
 section legacy
-[ ! -e "$HOME/.fleet/current/compose.override.yaml" ] ||
-    sed -n 's/^  "name": "\(.*\)",$/\1/p' "$HOME/.fleet/current/compose.override.yaml" | head -n 1
+# While adopt.sh works, the release may be in its new place already.
+old=$(readlink "$HOME/.fleet/current" 2>/dev/null)
+[ -z "$old" ] || sed -n 's/^  "name": "\(.*\)",$/\1/p' "$HOME/.fleet/$old/compose.override.yaml" \
+    "$HOME"/.fleet/stacks/*/"$old"/compose.override.yaml 2>/dev/null | head -n 1
 
 if command -v docker >/dev/null; then
     section docker

@@ -16,8 +16,8 @@ current=$(readlink "$here/current" 2>/dev/null)
 while [ "$#" -gt 0 ] && [ "$1" != -- ]; do
     folder=$here/releases/$1
     old=releases/$1
-    young=$(find "$folder" -maxdepth 0 -newermt "-$keep seconds" 2>/dev/null)
-    if [ "releases/$1" != "$current" ] && [ -z "$young" ] && ! grep -qsw "$1" "$here/journal"; then
+    age=$(($(date +%s) - $(stat -c %Y "$folder" 2>/dev/null || echo 0)))
+    if [ "releases/$1" != "$current" ] && [ "$age" -ge "$keep" ] && ! grep -qsw "$1" "$here/journal"; then
         rm -rf "$folder"
         if [ -L "$old" ]; then rm -f "$old"; fi
     fi
@@ -25,7 +25,7 @@ while [ "$#" -gt 0 ] && [ "$1" != -- ]; do
 done
 [ "$#" -eq 0 ] || shift
 for image in "$@"; do
-    if ! grep -rqsF "\"$image\"" stacks/*/releases/*/compose*.yaml; then
+    if ! grep -rqsF "\"$image\"" stacks/*/releases/*/compose*.yaml releases/*/compose*.yaml; then
         docker image rm "$image" && rm -f "receipts/${image##*:fleet-}"
     fi
 done

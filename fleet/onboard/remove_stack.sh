@@ -7,8 +7,13 @@ cd "$HOME/.fleet/stacks/$stack"
 exec 9>>"$HOME/.fleet/lock"
 flock --wait 240 9
 echo "$by, who runs fab remove" >"$HOME/.fleet/holder"
-docker ps --all --quiet --filter "label=com.docker.compose.project=$stack" | xargs -r docker rm --force >/dev/null
-docker network ls --quiet --filter "label=com.docker.compose.project=$stack" | xargs -r docker network rm >/dev/null
+# No pipes: if Docker does not answer, nothing is removed.
+containers=$(docker ps --all --quiet --filter "label=com.docker.compose.project=$stack")
+# shellcheck disable=SC2086  # one word per container
+[ -z "$containers" ] || docker rm --force $containers >/dev/null
+networks=$(docker network ls --quiet --filter "label=com.docker.compose.project=$stack")
+# shellcheck disable=SC2086  # one word per network
+[ -z "$networks" ] || docker network rm $networks >/dev/null
 rm -f current journal
 rm -rf releases
 printf '%s\tremove\t-\t%s\tdone\n' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" >>history

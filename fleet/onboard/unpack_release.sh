@@ -8,6 +8,8 @@ umask 022
 part=$1.$$.part
 mkdir -p "$part"
 tar -x -p -f - -C "$part"
+# The last file of the archive: tar is content with an archive that was cut between two files.
+[ -e "$part/services" ]
 if diff -r "$1" "$part" >/dev/null 2>&1; then
     rm -rf "$part"
 else

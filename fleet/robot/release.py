@@ -106,14 +106,7 @@ def compose(
     rendering = _Rendering(stack, project=project, data=files.data)
     model = rendering.model(images, values=values or {})
     ours = {**files.files, **rendering.files}
-    content = {
-        "model": model,
-        "project": {name: file.digest for name, file in ours.items()},
-        "seeds": {name: file.digest for name, file in files.seeds.items()},
-        "folders": files.folders,
-        "images": {service: image.fingerprint for service, image in images.items()},
-    }
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+    digest = _digest(model, ours, files, images)
     labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
     for service in model["services"].values():
         service["labels"] = {**(service.get("labels") or {}), **labels}
@@ -129,6 +122,20 @@ def compose(
         folders=files.folders,
         empty=files.empty,
     )
+
+
+def _digest(
+    model: Mapping[str, Any], ours: Mapping[str, File], files: ProjectFiles, images: Mapping[str, Image]
+) -> str:
+    """The ID of a release: all that it consists of."""
+    content = {
+        "model": model,
+        "project": {name: file.digest for name, file in ours.items()},
+        "seeds": {name: file.digest for name, file in files.seeds.items()},
+        "folders": files.folders,
+        "images": {service: image.fingerprint for service, image in images.items()},
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 
 class _Rendering:

@@ -18,7 +18,7 @@ from fleet.onboard.exit_codes import UNUSABLE
 from fleet.plan import compose_steps
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
-from fleet.rollout.link import output_of
+from fleet.rollout.link import GOES_ON, output_of
 from fleet.rollout.reconnect import RETRY_FOR, RetryTimer
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 NOTE = "note:"
 """How a line begins that a script on a robot writes for the person who waits for it."""
 
-GOES_ON = "the robot goes on by itself: `fab status` shows the result"
 AGAIN = "run the same command again when the robot is back"
 
 
@@ -162,7 +161,9 @@ class _Work:
     def _attend(self, step: Step) -> None:
         """Wait for what goes on without this computer. Its notes are shown as they come; its errors are kept whole."""
         notes = _Notes(lambda text: self._progress.note(self._robot, text))
+        self._link.goes_on = True
         result = self._link.session.run(step.argv, limit=step.limit, on_output=notes.hear)
+        self._link.goes_on = False
         if result.code:
             # Compose writes control sequences into logs even without a terminal.
             text = terminal.plain(result.errors).strip() or f"it ended with code {result.code}"
@@ -223,7 +224,7 @@ def _aftermath(
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
         link.reconnect()
     if isinstance(problem, LinkLost | Unreachable):
-        return reason, problem.cure or (GOES_ON if step.detached else AGAIN)
+        return reason, GOES_ON if step.detached else problem.cure or AGAIN
     for question in plan.explain if touched else ():
         if details := _ask(question, link):
             reason += "\n" + details

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from fleet.config.inventory import Robot
 
 
+GOES_ON = "the robot goes on by itself: `fab status` shows the result"
+"""What a person is told who leaves a robot while it swaps its containers."""
+
+
 class Link:
     """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C."""
 
@@ -23,6 +27,8 @@ class Link:
         self.robot = robot
         self._session: connect.Session | None = None
         self.closed = threading.Event()
+        self.goes_on = False
+        """Whether what runs on the robot goes on without this link."""
 
     @property
     def session(self) -> connect.Session:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fleet.errors import FleetError
 from fleet.plan.outcome import Outcome, failure
-from fleet.rollout.link import Link
+from fleet.rollout.link import GOES_ON, Link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,15 +48,19 @@ def each(
     except KeyboardInterrupt:
         for link in links:
             link.close()
-            name = link.robot.name
-            if name not in outcomes:
-                outcomes[name] = Outcome(robot=name, status="skipped", reason="interrupted by Ctrl-C")
-                progress.finished(outcomes[name])
+            if link.robot.name not in outcomes:
+                outcomes[link.robot.name] = _interrupted(link)
+                progress.finished(outcomes[link.robot.name])
     except BrokenPipeError:  # the reader of the output is gone (`| head`)
         for link in links:
             link.close()
         raise
     return tuple(outcomes[link.robot.name] for link in links)
+
+
+def _interrupted(link: Link) -> Outcome:
+    cure = GOES_ON if link.goes_on else ""
+    return Outcome(robot=link.robot.name, status="skipped", reason="interrupted by Ctrl-C", cure=cure)
 
 
 def _work_off(

@@ -25,6 +25,7 @@ from tests.support.lab_project import (
     LAB,
     TINY,
     Project,
+    built,
     forget,
     on_each,
     service,
@@ -188,9 +189,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     for name, payload in ((TINY, b"tiny"), (HEAVY, os.urandom(HEAVY_SIZE))):
         project.write(f"{name}/Dockerfile", DOCKERFILE)
         (project.directory / name / "payload").write_bytes(payload)
-    project.stack(
-        tick=service(TINY, more=f"build: ../{TINY}"), heavy=service(HEAVY, more=f"build: ../{HEAVY}")
-    )
+    project.stack(tick=service(TINY, more=built(TINY)), heavy=service(HEAVY, more=built(HEAVY)))
     project.well("build", within=900)
     yield
     forget(TINY, HEAVY)

@@ -73,18 +73,20 @@ def test_a_link_that_comes_back(project: Project, pi: Pi) -> None:
 
 
 def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
-    """Noticed within 30 s, whatever the command was waiting for; the new release is not current, the next ship heals."""
+    """Noticed within 30 s; the robot goes on by itself, goes back, and the next ship is what it should be."""
     before = shipped(project)[0][0]
     project.stack(tick=STARTING)
-    with project.start("ship", "--hosts", "pi1", "--retry-for", "0") as fab:
-        assert eventually(lambda: processes(pi, "compose up"))
+    with project.start("ship", "--hosts", "pi1", "--retry-for", "0", "--wait", "60") as fab:
+        assert eventually(lambda: processes(pi, "swap ship tiny"))
         with cut(pi):
             since = time.monotonic()
             said = fab.end()
             assert time.monotonic() - since < 30
     assert said.code == 1
     assert "start release" in said.out
-    assert current(pi) == before
+    assert "the robot goes on by itself" in said.out
+    assert eventually(lambda: not processes(pi, "swap ship tiny"), within=120)
+    assert (current(pi), running(pi)["tick"][1]) == (before, before)
     project.stack(tick=service())
     project.colour("green")
     project.well("ship", "--hosts", "pi1")
@@ -166,17 +168,19 @@ def test_two_ships_at_once(project: Project, pi: Pi) -> None:
 
 
 def test_ctrl_c_during_the_start(project: Project, pi: Pi) -> None:
-    """The release that was not seen healthy does not become current, and the next ship finishes."""
+    """The robot goes on by itself, which is said: a release that does not become healthy is taken back there."""
     before = shipped(project)[0][0]
     project.stack(tick=STARTING)
-    with project.start("ship", "--hosts", "pi1") as fab:
-        assert eventually(lambda: processes(pi, "compose up"))
+    with project.start("ship", "--hosts", "pi1", "--wait", "15") as fab:
+        assert eventually(lambda: processes(pi, "swap ship tiny"))
         fab.ctrl_c()
         said = fab.end(within=5)
     assert (said.code, "interrupted by Ctrl-C" in said.out, "Traceback" in said.all) == (1, True, False), said
-    assert current(pi) == before
+    assert "the robot goes on by itself" in said.out
+    assert eventually(lambda: not processes(pi, "swap ship tiny"), within=60)
+    assert (current(pi), running(pi)["tick"][1]) == (before, before)
     project.stack(tick=service())
     project.colour("green")
     project.well("ship", "--hosts", "pi1")
     assert environment(pi)["COLOUR"] == "green"
-    assert not processes(pi, "compose up")
+    assert not processes(pi, "swap ship tiny")

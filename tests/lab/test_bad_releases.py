@@ -101,12 +101,12 @@ def test_a_compose_file_that_cannot_be_read_is_the_persons_mistake(
 def test_a_compose_file_that_compose_refuses_touches_nothing(
     project: Project, pi: Pi, more: str, says: str
 ) -> None:
-    """The robot's own Compose judges it before anything is sent or started: what runs is not disturbed."""
+    """Compose judges it on the desktop: exit code 2, with file and line, before any robot is asked."""
     project.well("ship", "--hosts", "pi1")
     before = running(pi), current(pi)
     project.stack(tick=service(more=more))
     said = project.fab("ship", "--hosts", "pi1")
-    assert (said.code, says in said.out) == (1, True), said
+    assert (said.code, says in said.err, "compose.yaml:9: " in said.err) == (2, True, True), said
     assert (running(pi), current(pi)) == before
 
 
@@ -203,12 +203,12 @@ def test_a_home_that_is_full(project: Project, pi: Pi) -> None:
     project.well("ship", "--hosts", "pi1")
     before = running(pi), current(pi)
     project.colour("green")
-    pi.exec("sh", "-c", "mount -t tmpfs -o size=64k,uid=1000 tmpfs ~pi/.fleet/releases")
+    pi.exec("sh", "-c", "mount -t tmpfs -o size=64k,uid=1000 tmpfs ~pi/.fleet/stacks/tiny/releases")
     try:
-        pi.exec("sh", "-c", "head -c 64k /dev/zero > ~pi/.fleet/releases/fill || true")
+        pi.exec("sh", "-c", "head -c 64k /dev/zero > ~pi/.fleet/stacks/tiny/releases/fill || true")
         said = project.fab("ship", "--hosts", "pi1", "--json")
     finally:
-        pi.exec("sh", "-c", "umount ~pi/.fleet/releases")
+        pi.exec("sh", "-c", "umount ~pi/.fleet/stacks/tiny/releases")
     assert (said.code, said.json[0]["reason"].splitlines()[0]) == (1, "the robot's disk is full")
     assert (running(pi), current(pi)) == before
 

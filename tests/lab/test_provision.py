@@ -196,7 +196,7 @@ def test_a_script_that_does_nothing_is_not_believed(blank: Target) -> None:
     """Its exit code of 0 proves nothing; it stays there to be looked at."""
     outcome, _ = blank.provision(b"#!/bin/sh\nexit 0\n")
     assert (outcome.status, outcome.step) == ("failed", "prove that the script installed Docker")
-    assert outcome.reason.startswith("the script ended without an error, and installed nothing")
+    assert outcome.reason.startswith("the script ended without an error, and did not install Docker")
     assert outcome.cure == "`sudo sh -x .fleet/get-docker.sh` there shows what it does"
     assert blank.root("cat /home/pi/.fleet/get-docker.sh") == "#!/bin/sh\nexit 0"
 
@@ -219,9 +219,7 @@ def test_a_package_source_that_poisons_apt_is_taken_back(blank: Target) -> None:
         b"> /etc/apt/sources.list.d/docker.list\napt-get -qq update >/dev/null\n"
     )
     outcome, _ = blank.provision(poison)
-    assert outcome.reason.startswith(
-        "apt does not accept the package source http://deb.debian.org/debian nosuch"
-    )
+    assert outcome.reason.startswith("apt rejects the package source http://deb.debian.org/debian nosuch")
     assert "went back: remove Docker's package source" in outcome.reason
     assert "docker.list" not in blank.root("ls /etc/apt/sources.list.d; apt-get -qq update")
 
@@ -252,9 +250,9 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
         "pathlib.Path('/root/held').touch()\n"
         "def seen(*argv):\n"
         "    while s.run(argv, capture_output=True).returncode: time.sleep(0.05)\n"
-        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs frontend.lock.was.locked /tmp/tmp.*/output')\n"
         "locks[1].close()\n"
-        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/said')\n"
+        "seen('sh', '-c', 'grep -qs Could.not.get.lock./var/lib/apt/lists /tmp/tmp.*/output')\n"
         "locks[0].close()\n"
     )
     for target in made(f"{LAB}-morning", tmp_path):

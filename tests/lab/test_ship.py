@@ -147,7 +147,7 @@ def test_a_release_works_by_hand_on_the_robot(project: Project, pi: Pi) -> None:
     """`docker compose up` in its directory finds everything there, and nothing to change."""
     project.well("ship", "--hosts", "pi1")
     before = running(pi)
-    done = pi.ssh("cd ~/.fleet/current && docker compose up --detach --pull never")
+    done = pi.ssh("cd ~/.fleet/stacks/tiny/current && docker compose up --detach --pull never")
     assert done.returncode == 0, done.stderr
     assert running(pi) == before
 
@@ -161,9 +161,9 @@ def test_a_release_works_by_hand_on_the_robot(project: Project, pi: Pi) -> None:
         ),
         pytest.param(
             (
-                "cd .fleet/current && echo broken > .env && rm compose.yaml",
-                "rm -r .fleet/releases/*",
-                "ln -sfn releases/none .fleet/current",
+                "cd .fleet/stacks/tiny/current && echo broken > .env && rm compose.yaml",
+                "rm -r .fleet/stacks/tiny/releases/*",
+                "ln -sfn releases/none .fleet/stacks/tiny/current",
             ),
             id="release damaged, releases removed, current leads nowhere",
         ),
@@ -185,7 +185,7 @@ def test_the_next_ship_mends_what_was_damaged(project: Project, damages: tuple[s
     assert project.well("ship", "--json").status == dict.fromkeys(ALL, "done")
     assert [current(pi) for pi in pis] == releases
     assert [running(pi)["tick"][1] for pi in pis] == releases
-    for check in (pi.ssh("cd ~/.fleet/current && docker compose config --quiet") for pi in pis):
+    for check in (pi.ssh("cd ~/.fleet/stacks/tiny/current && docker compose config --quiet") for pi in pis):
         assert check.returncode == 0, check.stderr
     assert project.well("ship", "--json").status == dict.fromkeys(ALL, "unchanged")
 
@@ -198,7 +198,7 @@ def test_two_desktops_at_once_do_no_harm(project: Project, pi: Pi) -> None:
     assert 0 in {said.code for said in both}, both
     project.well("ship", "--hosts", "pi1")
     assert running(pi)["tick"][1] == current(pi)
-    assert pi.exec("sh", "-c", "ls ~pi/.fleet/releases") == current(pi)
+    assert pi.exec("sh", "-c", "ls ~pi/.fleet/stacks/tiny/releases") == current(pi)
 
 
 def test_it_works_from_a_folder_of_the_project(project: Project) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support import lab_project
 from tests.support.lab_project import (
     ANYWHERE,
     DOCKERFILE,
@@ -40,7 +41,7 @@ def fleet(engines: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pr
     """A project whose image has a large layer, a middling one above it, and code on top; one robot of each engine."""
     on_each(engines.pis, wipe)
     project = Project.made(tmp_path_factory.mktemp("layers"), engines)
-    project.stack(tick=service(NAME, more="build: ../layers", times=ANYWHERE))
+    project.stack(tick=service(NAME, more=lab_project.built("layers"), times=ANYWHERE))
     project.write("layers/Dockerfile", LAYERS)
     for name, size in (("payload", LARGE), ("model", LARGE // 4), ("code", SMALL)):
         (project.directory / "layers" / name).write_bytes(random.Random(name).randbytes(size))  # noqa: S311
@@ -93,7 +94,7 @@ def test_the_image_it_came_from_may_go(fleet: Project) -> None:
     assert set(pruned.status.values()) == {"done"}
     for pi in fleet.lab.pis:
         assert len(pi.exec("docker", "image", "ls", "--quiet", NAME).split()) == 2
-        assert len(pi.exec("ls", "/home/pi/.fleet/releases").split()) == 2
+        assert len(pi.exec("ls", "/home/pi/.fleet/stacks/tiny/releases").split()) == 2
         prove(pi)
     assert set(fleet.well("prune", "--keep", "2", "--json").status.values()) == {"unchanged"}
 

@@ -21,14 +21,14 @@ def test_status_tells_programs_and_people(project: Project, pi: Pi) -> None:
     project.well("ship")
     said = project.well("status", "--json").json
     assert {
-        name: (robot["reachable"], robot["healthy"], robot["fleet"]["current"])
+        name: (robot["reachable"], robot["healthy"], robot["fleet"]["stacks"]["tiny"]["current"])
         for name, robot in said.items()
     } == {pi.name: (True, True, current(pi)) for pi in project.lab.pis}
     pi.exec("docker", "rm", "--force", running(pi)["tick"][0])
     table = project.fab("status")
     assert table.code == 1
     rows = {line.split()[0]: line for line in table.out.splitlines()[1:]}
-    assert "none" in rows["pi1"]
+    assert "tick has no container" in rows["pi1"]
     assert "tick healthy" in rows["pi2"]
 
 
@@ -113,14 +113,24 @@ def test_a_verb_without_a_release_says_ship(project: Project) -> None:
         assert "ship" in said.all or "history" in said.all, (line, said)
 
 
-def test_a_renamed_stack_takes_the_place_of_the_old(project: Project, pi: Pi) -> None:
-    """A stack that gets another name is still this robot's one stack: the old containers do not stay beside it."""
+def test_two_stacks_run_beside_each_other(project: Project, pi: Pi) -> None:
+    """Ship, logs, rollback and remove of one leave the other's containers running, with the same IDs."""
     project.well("ship", "--hosts", "pi1")
+    first = running(pi)["tick"]
     path = project.directory / "docker" / "compose.yaml"
-    path.write_text(path.read_text().replace("name: tiny", "name: other"))
-    project.well("ship", "--hosts", "pi1")
-    assert len(pi.exec("docker", "ps", "--quiet").split()) == 1
+    path.write_text(path.read_text().replace("name: tiny", "name: other").replace("tick:", "tock:"))
+    for colour in ("red", "green"):
+        project.colour(colour)
+        project.well("ship", "--hosts", "pi1")
     assert project.well("ship", "--hosts", "pi1", "--json").status == {"pi1": "unchanged"}
+    assert running(pi)["tick"] == first
+    assert "tick" in project.well("logs", "--hosts", "pi1", "--stack", "tiny", "--tail", "1").out
+    project.well("rollback", "--hosts", "pi1", "--stack", "other")
+    assert (running(pi)["tick"], len(running(pi))) == (first, 2)
+    assert "--stack" in project.fab("logs", "--hosts", "pi1").all
+    project.well("remove", "--hosts", "pi1", "--stack", "other")
+    assert running(pi) == {"tick": first}
+    assert project.well("status", "--hosts", "pi1")
 
 
 def test_the_container_healthcheck_of_the_image_counts(project: Project, pi: Pi) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support import wifi
+from tests.support import lab_project, wifi
 from tests.support.lab_project import DOCKERFILE, FAB, ROOT, Project, Running, eventually, running, service
 from tests.support.wifi import Quality, Wifi, joined
 
@@ -44,7 +44,7 @@ def on_air(project: Project, pi: Pi, link: Wifi) -> Iterator[Project]:
     """A project whose only robot is reached over the air, and an image of 20 MB with a little code on top."""
     project.write("app/Dockerfile", f"{DOCKERFILE}COPY code /\n")
     (project.directory / "app" / "payload").write_bytes(os.urandom(PAYLOAD))
-    project.stack(tick=service(IMAGE, more="build: ../app"))
+    project.stack(tick=service(IMAGE, more=lab_project.built("app")))
     defaults = {"user": "pi", "identity_file": str(pi.key), "platform": platform(project.lab)}
     robots = {pi.name: {"address": link.addresses[pi.name]}}
     text = {"stack": "docker/compose.yaml", "defaults": defaults, "robots": robots}

@@ -68,6 +68,12 @@ def service(image: str = TINY, *, more: str = "", check: str = "true", times: st
 """
 
 
+def built(folder: str) -> str:
+    """How an image with `DOCKERFILE` is built from a folder beside the Compose file's."""
+    base = "${FLEET_DEBIAN_BOOKWORM:-debian:bookworm-slim}"
+    return f"build: {{context: ../{folder}, args: {{RUN_BASE: '{base}'}}}}"
+
+
 def stack(**services: str) -> str:
     """A Compose file; each service as `service` writes it."""
     return "name: tiny\nservices:\n" + "".join(f"  {name}:{text}" for name, text in services.items())
@@ -114,8 +120,8 @@ def running(pi: Pi) -> dict[str, tuple[str, str]]:
 
 
 def current(pi: Pi) -> str:
-    """The release that ``~/.fleet/current`` leads to, "" where nothing is there."""
-    return pi.exec("sh", "-c", "readlink ~pi/.fleet/current || true").rpartition("/")[2]
+    """The release that is current of the one stack there is, "" if nothing is there."""
+    return pi.exec("sh", "-c", "readlink ~pi/.fleet/stacks/*/current || true").rpartition("/")[2]
 
 
 def processes(pi: Pi, pattern: str) -> list[str]:

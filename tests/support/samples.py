@@ -47,7 +47,12 @@ def release(*, robot: Robot = PI, of: Stack = STACK, image: Image = TALKER) -> R
 
 
 def container(
-    of: str, *, service: str = "talker", state: str = "running", health: str = "healthy", **values: Any
+    of: str,
+    *,
+    service: str = "talker",
+    state: str = "running",
+    health: str = "healthy",
+    **values: Any,  # noqa: ANN401  whatever a container has
 ) -> Container:
     """A container of release ``of``; a running one has been healthy for three minutes."""
     return Container(
@@ -55,9 +60,9 @@ def container(
         service=service,
         release=of,
         stack=STACK.name,
-        robot="pi1",
         state=state,
         **{
+            "robot": "pi1",
             "health": health if state == "running" else "",
             "code": 0 if state == "running" else 1,
             "policy": "unless-stopped",

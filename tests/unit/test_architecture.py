@@ -20,6 +20,7 @@ LIBRARIES = {
     "config.inventory": {"pydantic", "pydantic_core"},
     "ssh.connect": {"paramiko"},
     "transfer.codec": {"backports", "compression"},
+    "config.project_files": {"pathspec"},
     "config.yamlfile": {"yaml"},
 }
 """Each library has one module that imports it, and turns its exceptions into ours."""
@@ -27,7 +28,7 @@ LIBRARIES = {
 PURE = {
     *("errors", "platforms", "terminal", "units"),
     *("diagnosis.explain", "diagnosis.known_errors"),
-    *("config.selection", "config.validation"),
+    *("config.selection", "config.stack", "config.validation"),
     *("images.identity", "images.image", "images.layer"),
     *("ros.environment", "ros.rosmsg"),
     *("robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
@@ -42,7 +43,10 @@ PURE = {
 }
 """Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
 
-READS_FILES = {"config.inventory", "config.merge", "config.stack", "config.yamlfile", "robot.release"}
+READS_FILES = {
+    *("config.compose", "config.inventory", "config.merge", "config.project_files", "config.yamlfile"),
+    "robot.release",
+}
 
 EFFECTS = {
     "asyncio",

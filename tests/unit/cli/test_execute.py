@@ -40,17 +40,17 @@ def away(home: Home) -> Robot:
     return home.robot.model_copy(update={"name": "pi2", "port": free_port()})
 
 
-def touch(robot: Robot, facts: Facts) -> Plan:
+def touch(robot: Robot, facts: Facts) -> list[Plan]:
     """Make a file in the robot's home; a robot that has none of ours is refused."""
     if not facts.login.name:
         raise NotReady("nobody is there")
     feed = Bytes(label="bytes", data=b"12345")
     step = Step(title="write it", argv=("sh", "-c", "cat > made"), feed=feed)
-    return Plan(robot=robot.name, summary="make a file", steps=(step,))
+    return [Plan(robot=robot.name, summary="make a file", steps=(step,))]
 
 
-def unchanged(robot: Robot, _: Facts) -> Plan:
-    return Plan(robot=robot.name, summary="has it")
+def unchanged(robot: Robot, _: Facts) -> list[Plan]:
+    return [Plan(robot=robot.name, summary="has it")]
 
 
 def text(screen: Screen) -> tuple[str, str]:
@@ -114,7 +114,7 @@ def test_a_robot_that_is_as_asked_is_unchanged(home: Home, screen: Screen) -> No
 def test_a_planner_that_refuses_fails_its_robot(home: Home, screen: Screen) -> None:
     """With its reason and cure."""
 
-    def refuse(_: Robot, __: Facts) -> Plan:
+    def refuse(_: Robot, __: Facts) -> list[Plan]:
         raise NotReady("Docker is not installed", cure="`fab provision`")
 
     assert execute([home.robot], refuse, dry=False, json=False, screen=screen) == 1
@@ -125,13 +125,13 @@ def climbing(tries: list[str], *scripts: str) -> list[Planner]:
     """One planner for each script, which remembers that it was asked."""
 
     def rung(script: str) -> Planner:
-        def make(robot: Robot, facts: Facts) -> Plan:
+        def make(robot: Robot, facts: Facts) -> list[Plan]:
             tries.append(script)
             if script == "refuse":
                 raise NotReady("there is no room")
             assert facts.login.name
             step = Step(title="try", argv=("sh", "-c", script), harmless=True)
-            return Plan(robot=robot.name, summary=f"by {script}", steps=(step,))
+            return [Plan(robot=robot.name, summary=f"by {script}", steps=(step,))]
 
         return make
 
@@ -167,10 +167,10 @@ def test_each_way_is_planned_for_the_robot_as_it_is_then(home: Home, screen: Scr
     """What the first way has changed there, the second one sees."""
     seen: list[tuple[str, ...]] = []
 
-    def make(robot: Robot, facts: Facts) -> Plan:
-        seen.append(facts.fleet.releases)
-        step = Step(title="", argv=("sh", "-c", "mkdir -p .fleet/releases/abc; exit 65"), harmless=True)
-        return Plan(robot=robot.name, summary="", steps=(step,))
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
+        seen.append(tuple(facts.fleet.stacks))
+        step = Step(title="", argv=("sh", "-c", "mkdir -p .fleet/stacks/abc; exit 65"), harmless=True)
+        return [Plan(robot=robot.name, summary="", steps=(step,))]
 
     execute([home.robot], make, make, dry=False, json=False, screen=screen)
     assert seen == [(), ("abc",)]
@@ -201,9 +201,9 @@ def test_planners_are_told_of_images_where_they_ask(home: Home, screen: Screen, 
     """It takes longer, and most verbs do without."""
     python: list[bool] = []
 
-    def make(robot: Robot, facts: Facts) -> Plan:
+    def make(robot: Robot, facts: Facts) -> list[Plan]:
         python.append(facts.fleet.image_store.python)
-        return Plan(robot=robot.name, summary="")
+        return [Plan(robot=robot.name, summary="")]
 
     execute([home.robot], make, dry=False, json=False, screen=screen, images=images)
     assert python == [images]

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fleet.cli import json_output, status
+from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
@@ -14,24 +15,42 @@ from tests.support.samples import PI, container, facts
 
 PAGE = (Path(__file__).parents[3] / "docs/reference/json.md").read_text(encoding="utf-8")
 
-CONTAINER = {"name", "service", "release", "stack", "state", "status"}
+CONTAINER = {
+    *(
+        "name",
+        "service",
+        "release",
+        "stack",
+        "robot",
+        "state",
+        "health",
+        "code",
+        "restarts",
+        "policy",
+        "since",
+    )
+}
+STACK = {"current", "checksum", "releases", "services", "history", "containers", "data", "journal"}
 STATUS = {
     *("reachable", "healthy"),
-    *(f"host.{key}" for key in ("machine", "userland", "os", "clock", "temperature", "memory", "emulates")),
-    *(f"login.{key}" for key in ("name", "groups", "sudo", "noise")),
-    *("disk.size", "disk.free"),
+    *(f"host.{key}" for key in ("identity", "machine", "userland", "os", "clock")),
+    *(f"host.{key}" for key in ("temperature", "memory", "emulates")),
+    *(f"login.{key}" for key in ("name", "home", "groups", "sudo", "noise")),
+    *(f"disk.{key}" for key in ("size", "free", "home_free", "shared")),
     *(f"docker.{key}" for key in ("state", "version", "client", "compose", "data_root", "driver")),
     *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot")),
     *("packages.installed", "packages.interrupted", "packages.docker_source"),
-    *(f"fleet.{key}" for key in ("current", "checksum", "releases", "history", "containers")),
-    *(f"fleet.containers[].{key}" for key in CONTAINER),
+    *("fleet.legacy", "fleet.stacks"),
+    *(f"fleet.stacks.NAME.{key}" for key in STACK),
+    *(f"fleet.stacks.NAME.containers[].{key}" for key in CONTAINER),
 }
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform"),
     *(f"ros.{key}" for key in ("master", "hostname", "ip", "namespace")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
-    *("environment", "files", "known_hosts"),
+    *("environment", "pass_environment", "files", "known_hosts", "stacks"),
+    *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
 }
 OUTCOME = {
     *("robot", "status", "summary", "step", "reason", "cure"),
@@ -39,11 +58,11 @@ OUTCOME = {
 }
 STEP = {
     *("title", "argv", "feed", "feed.label", "feed.data", "expect", "cure", "limit"),
-    *("fresh_login", "until_closed", "harmless", "resumes"),
+    *("fresh_login", "until_closed", "harmless", "resumes", "detached"),
 }
 PLANS = {
     *("plans", "problems"),
-    *(f"plans[].{key}" for key in ("robot", "summary", "steps", "explain", "recover", "afterwards")),
+    *(f"plans[].{key}" for key in ("robot", "summary", "stack", "steps", "explain", "recover", "afterwards")),
     *(f"plans[].steps[].{key}" for key in STEP),
     *(f"plans[].{key}" for key in ("record", "record.verb", "record.release", "record.by")),
     *("plans[].forecast", "plans[].transfer"),
@@ -55,13 +74,14 @@ FED = Step(title="write", argv=("tar",), feed=Bytes(label="2 files", data=b"12")
 PLAN = Plan(
     robot="pi1", summary="", steps=(FED,), record=Record(verb="ship", release="abc", by="tim@desktop")
 )
+WITH_STACK = PI.model_copy(update={"stacks": (StackFiles(files=(Path("compose.yaml"),)),)})
 PRINTED = {
     "`fab status --json`": (
         STATUS,
         status.record(facts(current="abc", releases=("abc",), containers=(container("abc"),))),
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
-    "`fab inventory --json`": (INVENTORY, PI.model_dump(mode="json")),
+    "`fab inventory --json`": (INVENTORY, WITH_STACK.model_dump(mode="json")),
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
     "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),
@@ -80,6 +100,8 @@ def keys(value: object, path: str = "") -> set[str]:
     if not isinstance(value, dict):
         return set()
     prefix = f"{path}." if path else ""
+    if path == "fleet.stacks":  # by name
+        value = {"NAME": next(iter(value.values()))}
     return {f"{prefix}{key}" for key in value} | set().union(
         *(keys(item, f"{prefix}{key}") for key, item in value.items())
     )
@@ -99,7 +121,7 @@ def documented(heading: str) -> set[str]:
 def test_programs_can_rely_on_the_keys(heading: str) -> None:
     """A key that is renamed or gone breaks somebody's program: change this set in a major version only."""
     promised, value = PRINTED[heading]
-    assert keys(json.loads(json_output.text(value))) - SECTIONS == promised
+    assert keys(json.loads(json_output.text(value))) - SECTIONS - {"fleet.stacks.NAME"} == promised
 
 
 @pytest.mark.parametrize("heading", PRINTED)

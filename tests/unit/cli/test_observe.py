@@ -30,7 +30,7 @@ def test_status_of_robots_to_which_nothing_was_shipped(mine: Project) -> None:
     """A row each; the one that is away makes the code 1, the others do not."""
     done = mine.fleet("status")
     rows = [line.split() for line in done.out.splitlines()]
-    assert rows[0][:4] == ["robot", "reachable", "release", "containers"]
+    assert rows[0][:4] == ["robot", "reachable", "stack", "release"]
     assert [row[:2] for row in rows[1:]] == [["pi1", "yes"], ["pi2", "yes"], ["away", "no"]]
     assert done.code == 1
     assert mine.fleet("status", "--hosts", "fleet").code == 0
@@ -39,12 +39,12 @@ def test_status_of_robots_to_which_nothing_was_shipped(mine: Project) -> None:
 def test_history_is_told_by_robot_and_time(own: Project) -> None:
     """The last so many of each; 0 is none."""
     home = own.robots["pi1"].path
-    (home / ".fleet").mkdir()
+    (home / ".fleet/stacks/tiny").mkdir(parents=True)
     lines = [f"2026-11-23T12:0{number}:00Z\tship\tr{number}\ttim@desktop\tdone" for number in range(5)]
-    (home / ".fleet/history").write_text("\n".join(lines) + "\n")
+    (home / ".fleet/stacks/tiny/history").write_text("\n".join(lines) + "\n")
     done = own.fleet("history", "--hosts", "pi1", "--tail", "2")
     assert [line.split() for line in done.out.splitlines()[1:]] == [
-        ["pi1", "2026-11-23", f"12:0{number}:00", "ship", f"r{number}", "tim@desktop", "done"]
+        ["pi1", "tiny", "2026-11-23", f"12:0{number}:00", "ship", f"r{number}", "tim@desktop", "done"]
         for number in (3, 4)
     ]
     assert len(json.loads(own.fleet("history", "--hosts", "pi1", "--json").out)["pi1"]) == 5

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -7,18 +8,19 @@ import pytest
 from fleet.cli import status
 from fleet.errors import CommandFailed, FleetError, Unreachable
 from fleet.plan.outcome import Outcome
+from fleet.robot.facts import StackFacts
 from fleet.robot.history import Event
-from tests.support.samples import change, container, facts
+from tests.support.samples import NOW, change, container, facts
 
 if TYPE_CHECKING:
     from fleet.robot.facts import Container, Facts
 
 GONE = Unreachable("pi1.local did not answer within 10 s", cure="does it have power?")
-WELL = facts(current="abc", releases=("abc",), containers=(container("abc"),))
+WELL = facts(current="abc", releases=("abc",), containers=(container("abc"),), services=("talker",))
 
 
 def cells(seen: Facts | FleetError) -> dict[str, tuple[str, str]]:
-    return dict(zip(status.COLUMNS, status.row("pi1", seen), strict=True))
+    return dict(zip(status.COLUMNS, status.rows("pi1", seen)[0], strict=True))
 
 
 def test_a_robot_that_is_well() -> None:
@@ -26,8 +28,10 @@ def test_a_robot_that_is_well() -> None:
     assert cells(change(WELL, temperature=54.3)) == {
         "robot": ("pi1", "bold"),
         "reachable": ("yes", "green"),
+        "stack": ("talker", ""),
         "release": ("abc", ""),
-        "containers": ("talker healthy 3 minutes", "green"),
+        "containers": ("talker healthy 3 min", "green"),
+        "data": ("", ""),
         "docker": ("28.0.4", ""),
         "disk free": ("20.0 GB (62%)", ""),
         "temp": ("54 °C", ""),
@@ -50,32 +54,54 @@ def test_a_robot_to_which_nothing_was_shipped() -> None:
 
 
 @pytest.mark.parametrize(
-    ("one", "said"),
+    ("one", "words"),
     [
-        (container("abc"), "talker healthy 3 minutes"),
-        (container("abc", status="Up 3 minutes"), "talker running 3 minutes"),
-        (container("abc", status="Up About a minute (unhealthy)"), "talker unhealthy a minute"),
-        (container("abc", status="Up 2 seconds (health: starting)"), "talker starting 2 seconds"),
-        (container("abc", state="exited"), "talker Exited (1) 5 seconds ago"),
-        (
-            container("abc", state="restarting", status="Restarting (1) 2 seconds ago"),
-            "talker Restarting (1) 2 seconds ago",
-        ),
-        (container("old"), "talker healthy 3 minutes of release old"),
-        (container("old", state="exited"), "talker Exited (1) 5 seconds ago of release old"),
+        (container("abc"), "talker healthy 3 min"),
+        (container("abc", health=""), "talker running 3 min"),
+        (container("abc", health="unhealthy"), "talker unhealthy 3 min"),
+        (container("abc", health="starting", since=NOW - 2), "talker starting 2 s"),
+        (container("abc", state="exited"), "talker exited with code 1 3 min ago"),
+        (container("abc", state="exited", code=0, policy="no"), "talker completed 3 min ago"),
+        (container("abc", state="exited", code=0), "talker exited with code 0 3 min ago"),
+        (container("abc", state="restarting", restarts=4), "talker restarting 3 min (restarted 4 times)"),
+        (container("abc", restarts=1), "talker healthy 3 min (restarted once)"),
+        (container("old"), "talker healthy 3 min of release old"),
+        (container("abc", since=0.0), "talker healthy"),
     ],
 )
-def test_a_container_in_a_few_words(one: Container, said: str) -> None:
-    """Docker's own sentence without its filling; a release that is not the current one is named."""
-    assert cells(change(WELL, containers=(one,)))["containers"][0] == said
+def test_a_container_in_a_few_words(one: Container, words: str) -> None:
+    """Its state and for how long, and whatever is not as it should be."""
+    assert cells(change(WELL, containers=(one,)))["containers"][0] == words
 
 
 def test_several_containers_share_a_cell_and_its_colour() -> None:
-    """One that is ill makes the cell red."""
+    """One that is ill makes the cell red, and so does a service without a container, or a swap that goes on."""
     both = (container("abc"), container("abc", service="camera", state="exited"))
     assert cells(change(WELL, containers=both))["containers"] == (
-        "talker healthy 3 minutes, camera Exited (1) 5 seconds ago",
+        "talker healthy 3 min, camera exited with code 1 3 min ago",
         "red",
+    )
+    assert cells(change(WELL, services=("talker", "camera")))["containers"] == (
+        "talker healthy 3 min, camera has no container",
+        "red",
+    )
+    assert cells(change(WELL, journal="swap ship def abc 2026"))["containers"] == (
+        "talker healthy 3 min, a swap is under way (swap ship def)",
+        "red",
+    )
+
+
+def test_each_stack_has_a_row_and_the_size_of_its_data() -> None:
+    """The robot itself is told once."""
+    seen = change(WELL, data=5_000_000)
+    stacks = {**seen.fleet.stacks, "other": StackFacts(current="def", data=None)}
+    first, second = status.rows("pi1", replace(seen, fleet=replace(seen.fleet, stacks=stacks)))
+    assert (first[2][0], first[5][0], first[6][0]) == ("talker", "5.0 MB", "28.0.4")
+    assert (second[0], second[2], second[5], second[6]) == (
+        ("pi1", "dim"),
+        ("other", ""),
+        ("large", ""),
+        ("", ""),
     )
 
 
@@ -88,6 +114,10 @@ def test_several_containers_share_a_cell_and_its_colour() -> None:
         (change(WELL, containers=(container("old"),)), False),
         (change(WELL, containers=(container("abc"), container("abc", state="exited"))), False),
         (change(WELL, current=""), False),
+        (change(WELL, services=("talker", "camera")), False),
+        (change(WELL, journal="swap"), False),
+        (change(WELL, containers=(container("abc", restarts=3, since=NOW - 5),)), False),
+        (change(WELL, containers=(container("abc", restarts=3),)), True),
         (GONE, False),
     ],
 )
@@ -130,7 +160,7 @@ def test_a_robots_state_for_programs() -> None:
     record = status.record(WELL)
     assert record["reachable"] is True
     assert record["healthy"] is True
-    assert record["fleet"]["current"] == "abc"
+    assert record["fleet"]["stacks"]["talker"]["current"] == "abc"
     assert "images" not in record["fleet"]
     assert status.record(GONE) == {"reachable": False, "reason": GONE.what, "cure": GONE.cure}
 
@@ -146,16 +176,22 @@ def test_a_robots_history_as_events_and_rows() -> None:
     """Oldest first; a failure is red and has its reason."""
     told = status.events(facts(history=LINES))
     assert told == (
-        Event(when="2026-11-23T12:00:00Z", verb="ship", release="abc", by="tim@desktop", outcome="done"),
-        Event(
-            when="2026-11-23T12:05:00Z",
-            verb="ship",
-            release="def",
-            by="tim@desktop",
-            outcome="failed: the robot's disk is full",
+        (
+            "talker",
+            Event(when="2026-11-23T12:00:00Z", verb="ship", release="abc", by="tim@desktop", outcome="done"),
+        ),
+        (
+            "talker",
+            Event(
+                when="2026-11-23T12:05:00Z",
+                verb="ship",
+                release="def",
+                by="tim@desktop",
+                outcome="failed: the robot's disk is full",
+            ),
         ),
     )
-    rows = [dict(zip(status.EVENT_COLUMNS, status.event_row("pi1", event), strict=True)) for event in told]
+    rows = [dict(zip(status.EVENT_COLUMNS, status.event_row("pi1", *event), strict=True)) for event in told]
     assert rows[0]["when (UTC)"] == ("2026-11-23 12:00:00", "")
     assert [row["outcome"] for row in rows] == [
         ("done", "green"),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
+    "remove",
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
 }
 

@@ -56,7 +56,7 @@ def test_everything_said(folder: Path) -> None:
     write("", "install.sh")
     robot = inventory(
         r"""
-stack: stacks/my.yaml
+stack: {files: [stacks/my.yaml, stacks/more.yaml], outside: [shared], settle: 0, wait: 900}
 known_hosts: keys/hosts
 robots:
   pi1:
@@ -68,6 +68,7 @@ robots:
     ros: {master: "http://desktop:11311", ip: 192.168.1.4, namespace: /a/b}
     docker: {script: install.sh, sha256: "ABAB",  version: 27.5.1, log_max_size: 5m, log_max_file: 1}
     environment: {A: a b, B: 1.50, C: 042, D: '', E: "$(x)\nü'\"", F: 2024-01-01, g_1: 'yes'}
+    pass_environment: [TOKEN, DISPLAY]
     files: {cam.yaml: config/cam.yaml, a/b c: config/cam.yaml}
 """.replace("ABAB", "aB" * 32)
     ).robots["pi1"]
@@ -95,8 +96,16 @@ robots:
             "F": "2024-01-01",
             "g_1": "yes",
         },
+        pass_environment=("TOKEN", "DISPLAY"),
         files={"cam.yaml": folder / "config/cam.yaml", "a/b c": folder / "config/cam.yaml"},
-        stacks=(StackFiles(files=(folder / "stacks/my.yaml",)),),
+        stacks=(
+            StackFiles(
+                files=(folder / "stacks/my.yaml", folder / "stacks/more.yaml"),
+                outside=(folder / "shared",),
+                settle=0,
+                wait=900,
+            ),
+        ),
         known_hosts=folder / "keys/hosts",
     )
 
@@ -127,6 +136,22 @@ def test_no_file() -> None:
     Path("inventory.yaml").mkdir()
     with pytest.raises(InventoryError, match=r"^inventory\.yaml is a directory"):
         load(Path("inventory.yaml"))
+
+
+def test_stacks_of_groups_and_robots(folder: Path) -> None:
+    """The nearest `stack:` counts whole; a file alone, a list and the long form mean what they say."""
+    robots = inventory("""
+stack: [a.yaml, {files: [b.yaml], settle: 3}]
+groups: {two: {robots: [pi2, pi3], stack: two.yaml}}
+robots: {pi1: , pi2: , pi3: {stack: {files: [x/y.yaml, z.yaml]}}, pi4: {stack: }}
+""").robots
+    both = (StackFiles(files=(folder / "a.yaml",)), StackFiles(files=(folder / "b.yaml",), settle=3))
+    assert [robot.stacks for robot in robots.values()] == [
+        both,
+        (StackFiles(files=(folder / "two.yaml",)),),
+        (StackFiles(files=(folder / "x/y.yaml", folder / "z.yaml")),),
+        both,
+    ]
 
 
 def test_select() -> None:
@@ -193,13 +218,11 @@ def example(*, everything: bool) -> str:
 
 def test_example_as_cloned() -> None:
     """The example as it comes includes the lab where there is one, and is sound without."""
-    fleet = inventory(example(everything=False))
-    assert fleet.robots == {}
+    assert inventory(example(everything=False)).robots == {}
     write("defaults: {user: root}\nrobots: {lab-pi1: 127.0.0.1}", ".lab/inventory.yaml")
     fleet = inventory(example(everything=False))
     assert [robot.name for robot in fleet.select("fleet")] == ["lab-pi1"]
     assert fleet.robots["lab-pi1"].user == "root"
-    assert fleet.robots["lab-pi1"].stacks == (StackFiles(files=(Path.cwd() / "docker/compose.yaml",)),)
 
 
 def test_example_in_full() -> None:
@@ -211,13 +234,6 @@ def test_example_in_full() -> None:
     assert fleet.robots["pi2"].environment == {"TALKER_RATE": "1", "LIDAR": "/dev/ttyUSB0"}
     assert fleet.robots["pi3"].environment == {"TALKER_RATE": "0.5"}
     assert [len(robot.stacks) for robot in fleet.robots.values()] == [2, 2, 1]
-    assert fleet.robots["pi1"].stacks[1] == StackFiles(
-        files=(Path.cwd() / "stacks/lidar/compose.yaml", Path.cwd() / "stacks/lidar/compose.site.yaml"),
-        outside=(Path.cwd() / "config",),
-        settle=30,
-        wait=600,
-    )
-    assert fleet.robots["pi1"].pass_environment == ("MAP_TOKEN",)
 
 
 def keys(value: object) -> set[str]:
@@ -288,7 +304,15 @@ files: {a: 1} | files: | x: 1 | address: a
     .replace("\n", " | ")
     .split(" | ")
 )
+STACKS = (
+    "x", "", "1", "''", "[]", "[x, y]", "[x, {files: [y]}]", "[1]", "[x, '']", "{files: [x]}", "{files: x}", "{files: []}",
+    "{files: ['']}", "{settle: 1}", "{}", "{files: [x], settle: 0}", "{files: [x], settle: -1}", "{files: [x], settle: 3601}",
+    "{files: [x], wait: 0}", "{files: [x], wait: 1}", "{files: [x], wait: '1'}", "{files: [x], outside: [..]}",
+    "{files: [x], outside: ..}", "{files: [x], outside: }", "{files: [x], x: 1}",
+)  # fmt: skip
 FILES = [
+    *(f"{part}: {{{name}stack: {value}{end}}}" for value in STACKS for part, name, end in (("defaults", "", ""), ("robots", "a: {", "}"))),
+    *(f"defaults: {{pass_environment: {value}}}" for value in ("[A]", "[]", "A", "[1]", "[a-b]", "[FLEET_X]", "")),
     *(f"defaults: {{{value}}}" for value in VALUES),
     *(f"robots: {{pi1: {{{value}}}}}" for value in VALUES),
     *(f"groups: {{g: {{{value}}}}}" for value in VALUES),
@@ -299,7 +323,7 @@ FILES = [
     "groups:", "groups: {g: ['*']}", "groups: {g: [1]}", "groups: {g: x}", "groups: {g: }", "groups: {g: {robots: }}",
     "groups: {g: {robots: ['a b']}}", "groups: {g: {robots: ['a*'], port: 1}}", "groups: {g: {robots: a}}",
     "include: [{path: x, required: false}]", "include: [{required: false}]", "include: [x]", "include: {}", "include:",
-    "include: [{path: x, required: 0}]", "defaults:", "defaults: []", "stack: x", "stack:", "stack: 1", "known_hosts: x", "x: 1",
+    "include: [{path: x, required: 0}]", "defaults:", "defaults: []", *(f"stack: {value}" for value in STACKS), "known_hosts: x", "x: 1",
 ]  # fmt: skip
 
 

@@ -140,7 +140,9 @@ robots: {pi1: }
     assert [robot.user for robot in fleet.robots.values()] == ["labuser", "labuser", "pi"]
     assert [robot.port for robot in fleet.robots.values()] == [99, None, 99]
     assert fleet.robots["pi1"].known_hosts == fleet.known_hosts == folder / "known_hosts"
-    assert fleet.stack == folder / "mine.yaml"
+    stacks = {name: robot.stacks[0].files for name, robot in fleet.robots.items()}
+    assert stacks["pi1"] == (folder / "mine.yaml",)
+    assert stacks["lab1"] == stacks["pi1"]
     assert fleet.groups == {
         "virtual": ("lab1", "lab2"),
         "both": ("lab1", "pi1"),

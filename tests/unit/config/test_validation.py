@@ -27,13 +27,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("groups: {g: {robot: [x]}}", "groups.g.robot: no such key; did you mean 'robots'?"),
         (
             "defaults: {addres: x}",
-            "defaults.addres: no such key; there are: user, port, identity_file, platform, ros, docker, environment, files",
+            "defaults.addres: no such key; there are: user, port, identity_file, platform, ros, docker, environment, pass_environment, stack, files",
         ),
         ("robots: [pi1]", "robots: must hold `key: value` lines"),
         ("robots: {pi1: [x]}", "robots.pi1: must hold `key: value` lines"),
         ("groups: {g: x}", "groups.g: must hold `key: value` lines"),
         ("include: x", "include: must be a list"),
-        ("stack:", "stack: must be text, not nothing"),
+        ("stack:", "stack: must hold `key: value` lines"),
         ("stack: ' '", "stack: must not be empty"),
         ("robots: {pi1: {port: 0}}", "robots.pi1.port: must be a whole number from 1 to 65535, not 0"),
         (

@@ -88,27 +88,72 @@ def test_the_probe_runs_in_the_shells_of_robots(shell: str, tmp_path: Path) -> N
     assert abs(seen.host.clock - time.time()) < 60
     assert seen.disk.size == pytest.approx(usage.total, rel=0.1)
     assert seen.host.platforms[0] in ("linux/amd64", "linux/arm64", "linux/arm/v7")
-    assert seen.fleet.current == ""
-    assert seen.fleet.releases == ()
+    assert seen.fleet.stacks == {}
+    assert seen.fleet.legacy == ""
     assert seen.login.noise == ""
 
 
 def test_the_probe_sees_what_fleet_keeps_there(tmp_path: Path) -> None:
-    """The current release, those that are there (not one that is half written), and the history's lines."""
+    """Of each stack: the current release, those that are there (not one that is half written), services, history, data."""
+    nav = tmp_path / ".fleet/stacks/nav"
     for name in ("aaa", "bbb", "ccc.part"):
-        (tmp_path / ".fleet/releases" / name).mkdir(parents=True)
-    (tmp_path / ".fleet/current").symlink_to("releases/bbb")
-    (tmp_path / ".fleet/history").write_text("".join(f"line {number}\n" for number in range(300)))
-    seen = parse(probed(tmp_path))
-    assert (seen.fleet.current, seen.fleet.releases) == ("bbb", ("aaa", "bbb"))
-    assert len(seen.fleet.history) == 200
-    assert seen.fleet.history[-1] == "line 299"
+        (nav / "releases" / name).mkdir(parents=True)
+    (nav / "releases/bbb/services").write_text("node=always\nmap=no\n")
+    (nav / "current").symlink_to("releases/bbb")
+    (nav / "journal").write_text("ship bbb\n")
+    (nav / "history").write_text("".join(f"line {number}\n" for number in range(300)))
+    (nav / "data").mkdir()
+    (nav / "data/map").write_bytes(b"x" * 100_000)
+    (tmp_path / ".fleet/stacks/cam").mkdir()
+    stacks = parse(probed(tmp_path)).fleet.stacks
+    assert list(stacks) == ["cam", "nav"]
+    assert (stacks["cam"].current, stacks["cam"].releases, stacks["cam"].data) == ("", (), 0)
+    seen = stacks["nav"]
+    assert (seen.current, seen.releases, seen.services) == ("bbb", ("aaa", "bbb"), ("node", "map"))
+    assert seen.journal == "ship bbb"
+    assert len(seen.history) == 200
+    assert seen.history[-1] == "line 299"
+    assert seen.data
+    assert 100_000 <= seen.data < 200_000
+
+
+@pytest.mark.parametrize("files", [(), ("compose.yaml", "project/a b", "project/Z", "project/é", "services")])
+def test_the_checksum_tells_a_release_that_was_edited(tmp_path: Path, files: tuple[str, ...]) -> None:
+    """Every file counts; a stack without a current release has none."""
+    nav = tmp_path / ".fleet/stacks/nav"
+    for name in files:
+        (nav / "releases/aaa" / name).parent.mkdir(parents=True, exist_ok=True)
+        (nav / "releases/aaa" / name).write_text(name)
+    nav.mkdir(parents=True, exist_ok=True)
+    (nav / "current").symlink_to("releases/aaa")
+    sums = [parse(probed(tmp_path)).fleet.stacks["nav"].checksum]
+    for name in files:
+        (nav / "releases/aaa" / name).write_text(f"{name}, edited")
+        sums.append(parse(probed(tmp_path)).fleet.stacks["nav"].checksum)
+    assert len(set(sums)) == len(sums)
+    assert all(sums) == bool(files)
+
+
+def test_the_probe_sees_a_release_of_the_first_version(tmp_path: Path) -> None:
+    """Its name is that of the stack which takes it over."""
+    old = tmp_path / ".fleet/releases/aaa"
+    old.mkdir(parents=True)
+    (old / "compose.override.yaml").write_text('{\n  "name": "nav",\n  "services": {\n  "name": "no"\n}}\n')
+    (tmp_path / ".fleet/current").symlink_to("releases/aaa")
+    assert parse(probed(tmp_path)).fleet.legacy == "nav"
+    new = tmp_path / ".fleet/stacks/nav/releases"
+    new.mkdir(parents=True)
+    old.rename(new / "aaa")  # as far as it came when the power was cut
+    assert parse(probed(tmp_path)).fleet.legacy == "nav"
+    (tmp_path / ".fleet/current").unlink()
+    assert parse(probed(tmp_path)).fleet.legacy == ""
 
 
 def test_the_probe_looks_and_never_touches(tmp_path: Path) -> None:
     """Not a file, not a time stamp changes in the login's home."""
-    (tmp_path / ".fleet/releases/aaa").mkdir(parents=True)
-    (tmp_path / ".fleet/history").write_text("one\n")
+    (tmp_path / ".fleet/stacks/nav/releases/aaa").mkdir(parents=True)
+    (tmp_path / ".fleet/stacks/nav/current").symlink_to("releases/aaa")
+    (tmp_path / ".fleet/stacks/nav/history").write_text("one\n")
 
     def state() -> dict[str, tuple[int, int]]:
         return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in (tmp_path, *tmp_path.rglob("*"))}
@@ -215,8 +260,9 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
         f"spool/{DIGEST}": "12345",
         "spool/lock": "",
         "spool/holder": "1 token receive tim@desktop",
-        "releases/abc/compose.override.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-1",\n}}}\n',
-        "releases/abc/compose.yaml": "services:\n  a:\n    image: talker\n",
+        "stacks/nav/releases/abc/compose.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-1",\n}}}\n',
+        "releases/old/compose.override.yaml": '{"services": {\n  "a": {\n    "image": "talker:fleet-0",\n}}}\n',
+        "releases/old/compose.yaml": "services:\n  a:\n    image: talker\n",
     }
     for name, text in files.items():
         (quoted_home / ".fleet" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -229,7 +275,7 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
         chains=(("a", "b"),),
         manifests=(tuple(blobs),),
         spool={DIGEST: 5},
-        pins={"abc": ("talker:fleet-1",)},
+        pins={"nav/abc": ("talker:fleet-1",), "/old": ("talker:fleet-0",)},
         sizes={"talker:fleet-1": 241_000_000},
         zstd=True,
         python=True,

@@ -1,76 +1,100 @@
 from __future__ import annotations
 
-import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+import pytest
+
+from fleet.config.project_files import File, ProjectFiles
 from fleet.plan import compose_steps
 from fleet.plan.step import Bytes, Step
 from fleet.robot import paths
+from fleet.robot.release import Release, compose
 from tests.support.robot_shell import do
-from tests.support.samples import PI, release
+from tests.support.samples import PI, PROJECT, STACK, TALKER
 
-if TYPE_CHECKING:
-    from pathlib import Path
+HOME = "/home/pi"
+FILES = ProjectFiles(
+    files={
+        "config/nav.yaml": File(data=b"speed: 1\n"),
+        "run.sh": File(data=b"#!/bin/sh\n", mode=0o755),
+        "token": File(data=b"secret", mode=0o600),
+        "odd/it's $HOME `x`.yaml": File(data=b"42"),
+        "link": File(link="config/nav.yaml"),
+    },
+    seeds={"maps/home.pgm": File(data=b"P5")},
+    empty=("hollow",),
+)
+
+
+@pytest.fixture
+def new() -> Release:
+    """A release with files of every kind."""
+    images = dict.fromkeys(STACK.services, TALKER)
+    return compose(robot=PI.name, stack=STACK, project=PROJECT, files=FILES, images=images)
 
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
-    """Every file below a folder: its mode and its bytes."""
-    files = (path for path in folder.rglob("*") if path.is_file())
+    """Every file below a folder, but for links: its mode and its bytes."""
+    files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     return {str(p.relative_to(folder)): (p.stat().st_mode & 0o777, p.read_bytes()) for p in files}
 
 
-def test_a_release_arrives_with_its_bytes_and_modes(home: Path) -> None:
-    """``.env`` may hold secrets; what containers mount is readable by them."""
-    new = release()
-    done = do(compose_steps.write(new), home)
+def whole(new: Release) -> dict[str, tuple[int, bytes]]:
+    """What `tree` says of a release that has arrived."""
+    return {name: (file.mode, file.data) for name, file in new.files(HOME).items() if file.link is None}
+
+
+def test_a_release_arrives_with_its_bytes_modes_and_links(home: Path, new: Release) -> None:
+    """Odd names, too: they go through tar, never through a shell."""
+    done = do(compose_steps.write(new, home=HOME), home)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert tree(home / paths.folder(new.id)) == {
-        name: (0o600 if name == ".env" else 0o644, data) for name, data in new.files.items()
-    }
-    assert (home / paths.folder(new.id) / "files").is_dir()
+    folder = home / paths.folder(new.stack, new.id)
+    assert tree(folder) == whole(new)
+    assert tree(folder)["compose.yaml"][0] == tree(folder)["project/token"][0] == 0o600
+    assert (folder / "project/link").readlink() == Path("config/nav.yaml")
+    assert list((folder / "project/hollow").iterdir()) == []
 
 
-def test_writing_a_release_again_leaves_its_files_in_place(home: Path) -> None:
+def test_writing_a_release_again_leaves_its_files_in_place(home: Path, new: Release) -> None:
     """Running containers have them mounted: a file replaced by an equal one would be a deleted one to them."""
-    new = release()
-    do(compose_steps.write(new), home)
-    before = {path: path.stat().st_ino for path in home.rglob("*")}
-    assert do(compose_steps.write(new), home).returncode == 0
-    assert {path: path.stat().st_ino for path in home.rglob("*")} == before
-
-
-def test_a_damaged_release_is_made_whole_again(home: Path) -> None:
-    """Whatever was cut, edited or added by hand, the directory is what the release says."""
-    new = release()
-    folder = home / paths.folder(new.id)
-    do(compose_steps.write(new), home)
-    (folder / ".env").write_bytes(b"")
-    (folder / "extra").write_text("by hand")
-    part = folder.with_name(folder.name + paths.PART)
-    part.mkdir()
-    (part / "half").write_bytes(b"written before the power went")
-    os.utime(part, (0, 0))  # long ago: what is new may be somebody else's, who ships at this moment
-    assert do(compose_steps.write(new), home).returncode == 0
-    assert {name: data for name, (_, data) in tree(folder).items()} == dict(new.files)
-    assert [path.name for path in folder.parent.iterdir()] == [new.id]
-
-
-def test_an_archive_that_was_cut_replaces_nothing(home: Path) -> None:
-    """The link died in the middle of the bytes: the release that was there stays, and the step fails."""
-    new = release()
-    step = compose_steps.write(new)
+    step = compose_steps.write(new, home=HOME)
     do(step, home)
-    before = tree(home / paths.folder(new.id))
+    before = {path: path.lstat().st_ino for path in home.rglob("*")}
+    assert do(step, home).returncode == 0
+    assert {path: path.lstat().st_ino for path in home.rglob("*")} == before
+
+
+def test_a_damaged_release_is_made_whole_and_nothing_of_it_is_removed(home: Path, new: Release) -> None:
+    """What was put there by hand may be somebody's: it is beside the release afterwards."""
+    step = compose_steps.write(new, home=HOME)
+    folder = home / paths.folder(new.stack, new.id)
+    do(step, home)
+    (folder / "compose.yaml").write_bytes(b"")
+    (folder / "extra").write_text("by hand")
+    assert do(step, home).returncode == 0
+    assert tree(folder) == whole(new)
+    (aside,) = (path for path in folder.parent.iterdir() if path != folder)
+    assert aside.name.startswith(f"{new.id}.replaced.")
+    assert aside.name.endswith(paths.PART)
+    assert (aside / "extra").read_text() == "by hand"
+
+
+@pytest.mark.parametrize("part", [0.1, 0.3, 0.5, 0.7, 0.85])
+def test_an_archive_that_was_cut_replaces_nothing(home: Path, new: Release, part: float) -> None:
+    """The link died in the middle of the bytes, or between two files: the release that was there stays, the step fails."""
+    step = compose_steps.write(new, home=HOME)
+    do(step, home)
+    folder = home / paths.folder(new.stack, new.id)
+    (folder / "services").write_text("edited")
+    before = tree(folder)
     assert isinstance(step.feed, Bytes)
-    cut = Step(title="", argv=step.argv, feed=Bytes(label="", data=step.feed.data[:1300]))
-    assert do(cut, home).returncode != 0
-    assert tree(home / paths.folder(new.id)) == before
+    blocks = int(len(step.feed.data) * part) // 512
+    for cut in (blocks * 512, blocks * 512 + 100):
+        half = Step(title="", argv=step.argv, feed=Bytes(label="", data=step.feed.data[:cut]))
+        assert do(half, home).returncode != 0
+        assert tree(folder) == before
 
 
-def test_a_file_name_with_spaces_and_quotes_arrives(home: Path, tmp_path: Path) -> None:
-    """Names come from the inventory and go through tar, never through a shell."""
-    (tmp_path / "here").write_text("42")
-    odd = "odd/it's $HOME `x`.yaml"
-    new = release(robot=PI.model_copy(update={"files": {odd: tmp_path / "here"}}))
-    assert do(compose_steps.write(new), home).returncode == 0
-    assert (home / paths.folder(new.id) / "files" / odd).read_text() == "42"
+def test_the_last_file_of_a_release_is_the_one_that_is_looked_for(new: Release) -> None:
+    """The script takes it for the archive's end."""
+    assert max(new.files(HOME)) == "services"

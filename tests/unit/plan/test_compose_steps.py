@@ -1,77 +1,82 @@
 from __future__ import annotations
 
-import io
 import os
 import subprocess
-import tarfile
 from typing import TYPE_CHECKING
 
+import pytest
+
+from fleet import onboard
 from fleet.plan import compose_steps
+from fleet.plan.compose_steps import Request, Verb
 from fleet.plan.step import Record
 from fleet.robot import paths
-from tests.support.samples import PI, release
+from tests.support.samples import release
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-RECORD = Record(verb="ship", release="3f2a9c1b5d0e", by="tim@desktop")
+REQUEST = Request(by="tim@desktop", run="5f", wait=200, settle=7, conflict="desktop")
 
 
-def test_compose_runs_in_the_release_and_heeds_its_env_file_only() -> None:
-    """A login's own ROS_MASTER_URI would win over ``.env``, so the variables of the release are unset first."""
-    robot = PI.model_copy(update={"environment": {"TALKER_RATE": "2"}})
-    argv = compose_steps.compose(robot, "abc", "ps")
-    assert argv[:3] == ("env", "-C", ".fleet/releases/abc")
-    assert argv[-3:] == ("docker", "compose", "ps")
-    unset = argv[3:-3]
-    assert unset[::2] == ("-u",) * (len(unset) // 2)
-    assert {"TALKER_RATE", "ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "COMPOSE_PROJECT_NAME"} <= set(
-        unset[1::2]
-    )
-
-
-def test_env_as_it_is_called_reads_the_release_and_not_the_login(tmp_path: Path) -> None:
-    """The argv works with the ``env`` of Debian: it changes the folder and drops the login's variables."""
-    folder = tmp_path / paths.folder("abc")
+def test_compose_runs_in_the_release_and_heeds_nothing_of_the_login(tmp_path: Path) -> None:
+    """The argv works with the ``env`` of Debian: a login's COMPOSE_FILE must not choose another stack."""
+    folder = tmp_path / paths.folder("talker", "abc")
     folder.mkdir(parents=True)
-    argv = compose_steps.compose(PI, "abc")[: -len(("docker", "compose"))]
-    script = "pwd; echo ${ROS_MASTER_URI-unset} ${OTHER-unset}"
-    environment = {"PATH": os.environ["PATH"], "ROS_MASTER_URI": "http://elsewhere:11311", "OTHER": "kept"}
+    argv = compose_steps.compose("talker", "abc")
+    assert argv[-2:] == ("docker", "compose")
+    environment = {"PATH": os.environ["PATH"], "COMPOSE_FILE": "/x", "COMPOSE_PROFILES": "y", "OTHER": "kept"}
+    script = "pwd; echo ${COMPOSE_FILE-unset} ${COMPOSE_PROFILES-unset} ${OTHER-unset}"
     done = subprocess.run(
-        (*argv, "sh", "-c", script), cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        (*argv[:-2], "sh", "-c", script),
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert done.stdout == f"{folder}\nunset kept\n"
+    assert done.stdout == f"{folder}\nunset unset kept\n"
 
 
-def test_starting_never_pulls_or_builds_and_is_given_time() -> None:
-    """A robot has no registry; Compose waits for health, and the step outlives Compose's own wait."""
-    step = compose_steps.start(PI, "abc", wait=120)
-    assert step.title == "start release abc"
-    assert step.argv[step.argv.index("compose") :] == (
-        "compose",
-        "up",
-        "--detach",
-        "--wait",
-        "--wait-timeout",
-        "120",
-        "--no-build",
-        "--pull",
-        "never",
-        "--remove-orphans",
+@pytest.mark.parametrize(
+    ("verb", "title"),
+    [("ship", "start release abc of talker"), ("rollback", "start release abc of talker")]
+    + [(verb, f"{verb} release abc of talker") for verb in ("start", "stop", "restart")],
+)
+def test_a_swap_goes_on_without_the_desktop(verb: Verb, title: str) -> None:
+    """Whoever comes back with the same token sees how it ends; both scripts get all that they need as arguments."""
+    step = compose_steps.swap(verb, "talker", "abc", request=REQUEST)
+    assert (step.title, step.detached, step.resumes, step.harmless) == (title, True, True, False)
+    assert step.argv == (
+        *("sh", "-c", onboard.text("detach.sh"), "detach", "5f.talker"),
+        *(onboard.text("swap.sh"), "swap", verb, "talker", "abc", "tim@desktop", "200", "7", "desktop"),
     )
+
+
+def test_a_swap_has_time_for_its_turn_the_release_and_the_way_back() -> None:
+    """The desktop gives up after the robot: `onboard/swap.sh` bounds each of these itself."""
+    step = compose_steps.swap("ship", "talker", "abc", request=REQUEST)
     assert step.limit is not None
-    assert step.limit > 120.0
+    assert step.limit > compose_steps.TURN + 2 * (200 + 7 + 120)
+    assert f"FLEET_TURN:-{compose_steps.TURN}" in onboard.text("swap.sh")
 
 
-def test_stopping_and_last_words() -> None:
-    """Containers are stopped, not removed, and their last lines are asked for without colours."""
-    assert compose_steps.stop(PI, "abc").argv[-2:] == ("compose", "stop")
-    words = ("compose", "logs", "--no-color", "--no-log-prefix", "--tail", "8")
-    assert compose_steps.last_words(PI, "abc").argv[-len(words) :] == words
+def test_the_release_is_written_for_the_home_of_the_login() -> None:
+    """Its paths are absolute, so that it works for root by hand too."""
+    step = compose_steps.write(release(), home="/home/robi")
+    assert step.argv[-1] == f".fleet/stacks/talker/releases/{release().id}"
+    assert step.feed is not None
+    assert step.feed.label == f"{len(release().files('/home/robi'))} files"
 
 
-def test_the_archive_is_one_that_any_tar_reads() -> None:
-    """Names only below the release's directory: nothing absolute, nothing that climbs."""
-    with tarfile.open(fileobj=io.BytesIO(release().archive())) as archive:
-        names = archive.getnames()
-    assert sorted(names) == [".env", "compose.override.yaml", "compose.yaml", "files"]
+def test_adopting_and_removing_name_the_stack() -> None:
+    """And who removed it: the robot's history says so."""
+    assert compose_steps.adopt("talker").argv[-1] == "talker"
+    assert compose_steps.remove("talker", by="tim@desktop").argv[-2:] == ("talker", "tim@desktop")
+
+
+def test_a_note_is_one_line_of_history() -> None:
+    """For what is done to the robot as a whole."""
+    record = Record(verb="provision", release="", by="tim@desktop")
+    step = compose_steps.note(record, when="2026-11-23T12:00:00Z", outcome="done")
+    assert step.argv[-1] == "2026-11-23T12:00:00Z\tprovision\t\ttim@desktop\tdone"

@@ -11,8 +11,8 @@ import pytest
 
 from fleet.errors import NotReady
 from fleet.plan import compose_steps, containers
-from fleet.plan.ship import HEALTHY_WITHIN
-from fleet.plan.step import Plan, Record, Step
+from fleet.plan.compose_steps import Request
+from fleet.plan.step import Plan
 from tests.support.samples import PI, change, container, facts
 
 if TYPE_CHECKING:
@@ -21,49 +21,44 @@ if TYPE_CHECKING:
     from fleet.plan.containers import Verb
     from fleet.robot.facts import Container, Facts
 
-WORDS = (compose_steps.last_words(PI, "abc"),)
-UP = compose_steps.start(PI, "abc", wait=HEALTHY_WITHIN)
-STOP = compose_steps.stop(PI, "abc")
-AGAIN = Step(title="restart release abc", argv=compose_steps.compose(PI, "abc", "restart"), limit=90.0)
-
+REQUEST = Request(by="tim@desktop", run="run")
 WELL = container("abc")
-ILL = container("abc", status="Up 1 minute (unhealthy)")
+ILL = container("abc", health="unhealthy")
 GONE = container("abc", state="exited")
 OTHER = container("old")
 
 
-def robot_with(*containers: Container) -> Facts:
-    return facts(current="abc", releases=("abc",), containers=containers)
+def robot_with(*containers: Container, **values: object) -> Facts:
+    return facts(current="abc", releases=("abc",), containers=containers, services=("talker",), **values)
 
 
 def planned(verb: Verb, seen: Facts) -> Plan:
-    return containers.plan(verb, robot=PI, facts=seen, by="tim@desktop")
+    return containers.plan(verb, robot=PI, stack="talker", facts=seen, request=REQUEST)
 
 
 @pytest.mark.parametrize(
-    ("verb", "has", "steps"),
+    ("verb", "has"),
     [
-        ("start", (GONE,), (UP,)),
-        ("start", (), (UP,)),
-        ("start", (ILL,), (UP,)),
-        ("start", (WELL, GONE), (UP,)),
-        ("start", (OTHER,), (UP,)),
-        ("stop", (WELL,), (STOP,)),
-        ("stop", (ILL, GONE), (STOP,)),
-        ("stop", (OTHER,), (STOP,)),
-        ("restart", (WELL,), (AGAIN, UP)),
-        ("restart", (GONE,), (AGAIN, UP)),
-        ("restart", (), (AGAIN, UP)),
+        ("start", (GONE,)),
+        ("start", ()),
+        ("start", (ILL,)),
+        ("start", (WELL, GONE)),
+        ("start", (OTHER,)),
+        ("stop", (WELL,)),
+        ("stop", (ILL, GONE)),
+        ("stop", (OTHER,)),
+        ("stop", (container("abc", state="restarting"),)),
+        ("restart", (WELL,)),
+        ("restart", (GONE,)),
+        ("restart", ()),
     ],
 )
-def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...], steps: tuple[Step, ...]) -> None:
-    """Start and restart end with the release healthy; a failure shows the last lines of its logs."""
+def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...]) -> None:
+    """Each is one swap, which the robot does by itself."""
     assert planned(verb, robot_with(*has)) == Plan(
         robot="pi1",
         summary=f"{verb} release abc",
-        steps=steps,
-        explain=() if verb == "stop" else WORDS,
-        record=Record(verb=verb, release="abc", by="tim@desktop"),
+        steps=(compose_steps.swap(verb, "talker", "abc", request=REQUEST),),
     )
 
 
@@ -71,7 +66,12 @@ def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...], steps: tupl
     ("verb", "has", "summary"),
     [
         ("start", (WELL,), "release abc runs"),
-        ("start", (WELL, replace(WELL, status="Up 3 minutes")), "release abc runs"),
+        ("start", (WELL, replace(WELL, health="")), "release abc runs"),
+        (
+            "start",
+            (WELL, container("abc", service="x", state="exited", code=0, policy="no")),
+            "release abc runs",
+        ),
         ("stop", (GONE,), "release abc is stopped"),
         ("stop", (), "release abc is stopped"),
     ],
@@ -79,6 +79,25 @@ def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...], steps: tupl
 def test_what_is_so_already_is_left_alone(verb: Verb, has: tuple[Container, ...], summary: str) -> None:
     """The second of the same command does nothing."""
     assert planned(verb, robot_with(*has)) == Plan(robot="pi1", summary=summary)
+
+
+def test_a_stack_is_taken_off() -> None:
+    """Its data stays; a second time there is nothing to do."""
+    plan = containers.remove(robot=PI, stack="talker", facts=robot_with(WELL), by="tim@desktop")
+    assert plan.steps == (compose_steps.remove("talker", by="tim@desktop"),)
+    again = containers.remove(robot=PI, stack="talker", facts=facts(), by="tim@desktop")
+    assert again == Plan(robot="pi1", summary="has no stack talker")
+
+
+def test_data_is_deleted_by_its_own_step_only() -> None:
+    """When no container is left that uses it; by root if the login may, as containers write as anybody."""
+    with pytest.raises(NotReady, match="containers of stack talker still use its data"):
+        containers.delete_data(robot=PI, stack="talker", facts=robot_with(WELL, data=5))
+    (step,) = containers.delete_data(robot=PI, stack="talker", facts=robot_with(data=5)).steps
+    assert step.argv[:5] == ("sudo", "-n", "rm", "-rf", "--one-file-system")
+    assert step.argv[5] == "/home/pi/.fleet/stacks/talker/data"
+    none = containers.delete_data(robot=PI, stack="talker", facts=robot_with(data=0))
+    assert none == Plan(robot="pi1", summary="has no data of stack talker")
 
 
 @pytest.mark.parametrize("verb", ["start", "stop", "restart"])
@@ -103,7 +122,9 @@ def test_no_docker_is_told_before_anything_else(verb: Verb) -> None:
 def logs(
     seen: Facts, *, follow: bool = False, tail: str = "20", since: str = "", service: str = ""
 ) -> tuple[str, ...]:
-    argv = containers.logs(robot=PI, facts=seen, follow=follow, tail=tail, since=since, service=service)
+    argv = containers.logs(
+        robot=PI, stack="talker", facts=seen, follow=follow, tail=tail, since=since, service=service
+    )
     return argv[argv.index("compose") :]
 
 
@@ -134,7 +155,7 @@ def test_logs_of_a_robot_without_a_release() -> None:
 
 def follower(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
     """What follows logs on a robot, with another command in the place of Compose."""
-    argv = containers.logs(robot=PI, facts=ONE, follow=True, tail="1", since="", service="")
+    argv = containers.logs(robot=PI, stack="talker", facts=ONE, follow=True, tail="1", since="", service="")
     assert argv[argv.index("compose") :][-1] == "--follow"
     start = argv[: argv.index("env")]
     return subprocess.Popen((*start, *command), stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -55,7 +55,7 @@ def test_a_file_for_the_robot_is_shown_by_the_line_that_says_what_it_does() -> N
     script = onboard.text("unpack_release.sh")
     plan = Plan(robot="pi1", summary="", steps=(Step(title="write", argv=("sh", "-c", script, "sh", "a b")),))
     assert lines(plan)[2] == (
-        "     $ sh -c '# Unpack a release (a tar archive on standard input) into its directory, whole or not at all."
+        "     $ sh -c '# Unpack a release (a tar archive on standard input) into its folder, whole or not at all, and safe from a power cut."
         f" [{len(script.splitlines()) - 2} more lines: --dry --json]' sh 'a b'"
     )
 

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fleet import onboard
 from fleet.plan import prune
-from fleet.plan.step import Plan, Record
+from fleet.plan.step import Plan
+from fleet.robot.facts import StackFacts
 from fleet.robot.image_store import ImageStore
 from tests.support.samples import PI, change, facts
 
@@ -43,18 +45,18 @@ def robot(
         images=dict.fromkeys((tag(name) for name in releases), "identity"),
     )
     known = {name: (tag(name),) for name in releases} if pins is None else pins
-    return change(seen, image_store=ImageStore(pins=known))
+    return change(seen, image_store=ImageStore(pins={f"talker/{name}": of for name, of in known.items()}))
 
 
 def removed(
     seen: Facts, *, keep: int = 3, shipped: str = "", images: tuple[str, ...] = ()
 ) -> tuple[str, str]:
     """The releases and the images that are removed, a letter for each."""
-    argvs = [step.argv for step in prune.after(seen, keep=keep, shipped=shipped, images=images)]
-    gone = [path.rpartition("/")[2] for argv in argvs if argv[:2] == ("rm", "-rf") for path in argv[2:]]
-    old = [name for argv in argvs if argv[:3] == ("docker", "image", "rm") for name in argv[3:]]
+    steps = prune.after(seen, stack="talker", keep=keep, shipped=shipped, images=images)
+    words = [word for step in steps for word in step.argv[6:]]
+    gone, _, old = " ".join(words).partition("--")
     letters = {tag(name): name for name in FINGERPRINTS}
-    return "".join(gone), "".join(letters[name] for name in old)
+    return "".join(gone.split()), "".join(letters[name] for name in old.split())
 
 
 @pytest.mark.parametrize(
@@ -137,37 +139,47 @@ def test_where_it_is_not_known_what_a_release_runs_no_image_goes(unknown: str) -
 def test_only_names_that_fleet_made_are_removed(name: str) -> None:
     """Of other people's images nothing is known."""
     seen = robot("ab")
-    assert prune.after(change(seen, images={**seen.fleet.images, name: "identity"}), keep=3) == ()
+    assert (
+        prune.after(change(seen, images={**seen.fleet.images, name: "identity"}), stack="talker", keep=3)
+        == ()
+    )
 
 
-def test_the_commands() -> None:
-    """Releases, images without force, and the receipts of these: each may fail alone, and none touches what runs."""
+def test_the_command() -> None:
+    """One script, which holds the robot's lock and looks again: releases first, then the images that nobody needs."""
     seen = robot("abcd")
     image = "me:5000/my/talker:fleet-0123456789ab"
-    steps = prune.after(change(seen, images={**seen.fleet.images, image: "identity"}), keep=2)
-    assert [step.argv for step in steps] == [
-        ("rm", "-rf", ".fleet/releases/a", ".fleet/releases/b"),
-        ("docker", "image", "rm", image, tag("a"), tag("b")),
-        ("rm", "-f", *(f".fleet/receipts/{one}" for one in ("0123456789ab", "1" * 12, "2" * 12))),
-    ]
-    assert [step.title for step in steps[:2]] == ["remove 2 old releases", "remove 3 old images"]
-    assert all(step.harmless for step in steps)
+    seen = change(seen, images={**seen.fleet.images, image: "identity"})
+    (step,) = prune.after(seen, stack="talker", keep=2)
+    assert step.argv == (
+        *("sh", "-c", onboard.text("remove_releases.sh"), "remove_releases"),
+        *("talker", "3600", "a", "b", "--", image, tag("a"), tag("b")),
+    )
+    assert (step.title, step.harmless) == ("remove 2 old releases and 3 old images", True)
+
+
+def test_images_of_other_stacks_stay() -> None:
+    """What another stack's releases run is not old, however few of this stack stay."""
+    seen = robot("abcd")
+    stacks = {**seen.fleet.stacks, "other": StackFacts(releases=("x",))}
+    pins = {**seen.fleet.image_store.pins, "other/x": (tag("a"),)}
+    seen = change(replace(seen, fleet=replace(seen.fleet, stacks=stacks)), image_store=ImageStore(pins=pins))
+    assert removed(seen) == ("a", "")
 
 
 def test_the_plan_of_the_verb() -> None:
-    """What it removes is its summary, and one line of history tells who did."""
+    """What it removes is its summary."""
     seen = robot("abcd")
-    assert prune.plan(robot=PI, facts=seen, keep=3, by="tim@desktop") == Plan(
+    assert prune.plan(robot=PI, facts=seen, stacks=("talker",), keep=3) == Plan(
         robot="pi1",
-        summary="remove 1 old release and remove 1 old image and remove their receipts",
-        steps=prune.after(seen, keep=3),
-        record=Record(verb="prune", release="d", by="tim@desktop"),
+        summary="remove 1 old release and 1 old image",
+        steps=prune.after(seen, stack="talker", keep=3),
     )
 
 
 def test_a_robot_with_nothing_old_is_unchanged() -> None:
-    """No step, and so no line of history."""
-    plan = prune.plan(robot=PI, facts=robot("ab"), keep=3, by="tim@desktop")
+    """No step."""
+    plan = prune.plan(robot=PI, facts=robot("ab"), stacks=("talker",), keep=3)
     assert plan == Plan(robot="pi1", summary="nothing is older than its newest 3 releases")
 
 
@@ -198,5 +210,5 @@ def test_what_it_frees_is_said() -> None:
     """As Docker says it, which counts layers that others share: at most."""
     seen = robot("abcd")
     stock = replace(seen.fleet.image_store, sizes={tag("a"): 241_000_000, tag("d"): 1})
-    plan = prune.plan(robot=PI, facts=change(seen, image_store=stock), keep=3, by="tim@desktop")
+    plan = prune.plan(robot=PI, facts=change(seen, image_store=stock), stacks=("talker",), keep=3)
     assert plan.forecast == "frees 241 MB at most: layers that other images share stay"

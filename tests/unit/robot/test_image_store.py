@@ -108,19 +108,28 @@ def test_the_pieces_that_have_arrived(said: str, spool: dict[str, int]) -> None:
     [
         (
             (
-                '/home/pi/.fleet/releases/abc/compose.override.yaml:      "image": "talker:fleet-1",\n'
-                '/home/pi/.fleet/releases/abc/compose.override.yaml:      "image": "me:5000/camera:fleet-2"\n'
-                '/home/pi/.fleet/releases/def/compose.override.yaml:"image": "talker:fleet-1"'
+                '/home/pi/.fleet/stacks/nav/releases/abc/compose.yaml:      "image": "talker:fleet-1",\n'
+                '/home/pi/.fleet/stacks/nav/releases/abc/compose.yaml:      "image": "me:5000/camera:fleet-2"\n'
+                '/home/pi/.fleet/stacks/cam/releases/abc/compose.yaml:"image": "talker:fleet-1"'
             ),
-            {"abc": ("talker:fleet-1", "me:5000/camera:fleet-2"), "def": ("talker:fleet-1",)},
+            {"nav/abc": ("talker:fleet-1", "me:5000/camera:fleet-2"), "cam/abc": ("talker:fleet-1",)},
         ),
-        ('/home/pi/.fleet/releases/abc/compose.yaml:  "image": "talker"', {}),
-        ('releases/abc/compose.override.yaml: image: "talker"', {}),
-        ('/releases/abc/compose.override.yaml: "image": ""', {}),
+        (
+            '/home/pi/.fleet/releases/old/compose.override.yaml:      "image": "talker:fleet-0",',
+            {"/old": ("talker:fleet-0",)},
+        ),
+        (
+            '/home/pi/.fleet/stacks/nav/releases/old/compose.override.yaml: "image": "talker:fleet-0",',
+            {"nav/old": ("talker:fleet-0",)},
+        ),
+        ('/home/pi/.fleet/stacks/nav/abc/compose.yaml:  "image": "talker"', {}),
+        ('releases/abc/compose.yaml: "image": "talker"', {}),
+        ('/home/pi/.fleet/stacks/nav/releases/abc/compose.yaml: image: "talker"', {}),
+        ('/home/pi/.fleet/stacks/nav/releases/abc/compose.yaml: "image": ""', {}),
     ],
 )
 def test_which_images_a_release_runs(said: str, pins: dict[str, tuple[str, ...]]) -> None:
-    """As its override says, every service's."""
+    """Every service's, by stack and release; those of the first version of fleet have no stack, or an override."""
     assert parse({"pins": said}).pins == pins
 
 

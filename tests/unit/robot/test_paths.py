@@ -9,33 +9,34 @@ from fleet import onboard
 from fleet.robot import paths
 
 FLEET = Path(onboard.__file__).parents[1]
-SCRIPTS = ("probe.sh", "unpack_release.sh", "start_release.sh", "note_history.sh")
+SCRIPTS = sorted(path.name for path in (FLEET / "onboard").glob("*.sh") if ".fleet" in path.read_text())
 
 
-def test_a_release_has_a_directory_of_its_own() -> None:
-    """Below fleet's own in the login's home, where every command starts."""
-    assert paths.folder("abc") == f"{paths.HOME}/releases/abc"
+def test_each_stack_has_a_place_of_its_own() -> None:
+    """Below fleet's own in the login's home; data lies outside of every release."""
+    assert paths.stack("nav") == f"{paths.HOME}/stacks/nav"
+    assert paths.folder("nav", "abc") == f"{paths.stack('nav')}/releases/abc"
+    assert paths.data("nav") == f"{paths.stack('nav')}/data"
+
+
+def test_there_are_scripts_that_name_the_places() -> None:
+    """Else the next test would be about nothing."""
+    assert {"probe.sh", "swap.sh", "adopt.sh", "remove_releases.sh", "remove_stack.sh"} <= set(SCRIPTS)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_scripts_use_the_same_directories(name: str) -> None:
-    """They run on the robot, where nothing can be imported."""
-    script = onboard.text(name)
-    places = set(
-        re.findall(
-            r"(?<![\w/])(?:\$HOME\"?/)?(\.\w+)/(\w+)", re.sub(r"^ *#.*", "", script, flags=re.MULTILINE)
-        )
-    )
-    known = {"releases", "current", "history", "receipts", "spool", "lock"}
-    assert {home for home, _ in places} <= {paths.HOME}
-    assert {place for _, place in places} <= known
-    assert paths.HOME in script or paths.PART in script
+def test_scripts_use_the_same_places(name: str) -> None:
+    """They run on the robot, where nothing can be imported; the table of the module's docstring has them all."""
+    script = re.sub(r"^ *#.*", "", onboard.text(name), flags=re.MULTILINE)
+    places = set(re.findall(r"(?<![\w/])(?:\$HOME\"?/)?\.fleet/([a-z]+)", script))
+    known = set(re.findall(r"^    ([a-z]+)\b", paths.__doc__ or "", flags=re.MULTILINE))
+    # An older fleet kept one stack's releases directly in its home.
+    assert places <= known | {"holder"} | {"releases", "current"}
 
 
 def test_a_half_written_release_ends_as_the_probe_expects() -> None:
     """The script that writes it and the parser that ignores it agree."""
     assert f"$1.$${paths.PART}" in onboard.text("unpack_release.sh")
-    assert f"*{paths.PART}" in onboard.text("unpack_release.sh")
 
 
 def test_the_state_directory_is_named_in_one_module() -> None:

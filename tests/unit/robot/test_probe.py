@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 
 from fleet import onboard
 from fleet.images import identity
-from fleet.robot.facts import Container, Disk, Docker, Facts, Fleet, Host, Login, Packages
+from fleet.robot.facts import Container, Disk, Docker, Facts, Fleet, Host, Login, Packages, StackFacts
 from fleet.robot.probe import MARK, command, parse
 
 
@@ -35,7 +37,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         machine="aarch64",
         userland="arm64",
         os="Debian GNU/Linux 13 (trixie)",
-        login="pi\npi sudo docker",
+        login="pi\n/home/pi\npi sudo docker",
         sudo="password",
         clock="1790000000",
         memory="948304",
@@ -48,10 +50,9 @@ def test_the_whole_answer_of_a_pi() -> None:
         interrupted="Status: install ok half-configured",
         source="/etc/apt/sources.list.d/docker.list",
         group="docker:x:996:pi,tim",
-        current="releases/abc",
-        checksum="0a1b",
-        releases="abc\ndef",
-        history="one\ttwo",
+        identity="0123abcd\n11-22",
+        stacks="stack nav\ncurrent releases/abc\nchecksum 0a1b\nservice node=always\nservice map=no\nrelease abc\nrelease def\nrelease ghi.part\ndata 12\njournal ship abc\nevent one\ttwo\nevent three\nstack cam\ncurrent \ndata unknown",
+        legacy="old",
         docker="28.0.4",
         client="Docker version 28.0.4, build b8034c0",
         store="/var/lib/docker overlay2 extfs true",
@@ -60,6 +61,7 @@ def test_the_whole_answer_of_a_pi() -> None:
     )
     assert parse(said) == Facts(
         host=Host(
+            identity="0123abcd 11-22",
             machine="aarch64",
             userland="arm64",
             os="Debian GNU/Linux 13 (trixie)",
@@ -68,7 +70,7 @@ def test_the_whole_answer_of_a_pi() -> None:
             memory=971_063_296,
             emulates=("qemu-arm",),
         ),
-        login=Login(name="pi", groups=("pi", "sudo", "docker"), sudo="password"),
+        login=Login(name="pi", home="/home/pi", groups=("pi", "sudo", "docker"), sudo="password"),
         disk=Disk(size=30_720_000_000, free=10_240_000_000),
         docker=Docker(
             state="ready",
@@ -82,10 +84,19 @@ def test_the_whole_answer_of_a_pi() -> None:
         ),
         packages=Packages(installed=("docker-ce", "docker-buildx"), interrupted=True, docker_source=True),
         fleet=Fleet(
-            current="abc",
-            checksum="0a1b",
-            releases=("abc", "def"),
-            history=("one\ttwo",),
+            stacks={
+                "nav": StackFacts(
+                    current="abc",
+                    checksum="0a1b",
+                    releases=("abc", "def"),
+                    services=("node", "map"),
+                    history=("one\ttwo", "three"),
+                    data=12 * 1024,
+                    journal="ship abc",
+                ),
+                "cam": StackFacts(data=None),
+            },
+            legacy="old",
             images={
                 "talker:fleet-1": "linux/arm64\nlayer sha256:aa\nuser \ndirectory",
                 "b:fleet-2": "linux/arm64\ndirectory",
@@ -96,7 +107,7 @@ def test_the_whole_answer_of_a_pi() -> None:
 
 def test_what_a_login_script_prints_is_noise_and_not_an_answer() -> None:
     """It would corrupt streams, so it is kept to be complained about; no fact comes from it."""
-    seen = parse("Welcome to pi1!\nroot\n" + answer(machine="aarch64", login="pi\npi"))
+    seen = parse("Welcome to pi1!\nroot\n" + answer(machine="aarch64", login="pi\n/home/pi\npi"))
     assert seen.login.noise == "Welcome to pi1!\nroot"
     assert (seen.host.machine, seen.login.name) == ("aarch64", "pi")
 
@@ -128,23 +139,60 @@ def test_no_docker_group_is_another_thing_than_an_empty_one(
     assert parse(answer(group=said)).docker.members == members
 
 
-def test_containers_say_their_service_release_and_state() -> None:
-    """From Docker's own JSON lines; a label may hold commas, and warnings may stand between."""
-    line = (
-        '{"Names":"talker-talker-1","State":"running","Status":"Up 3 minutes (healthy)",'
-        '"Labels":"com.docker.compose.depends_on=a:service_started:false,b:service_healthy:true,'
-        'com.docker.compose.service=talker,fleet.release=abc"}'
-    )
-    assert parse(answer(docker="28.0.4", containers=f"WARNING: no swap limit\n{line}")).fleet.containers == (
-        Container(
-            name="talker-talker-1",
-            service="talker",
-            release="abc",
-            stack="",
-            state="running",
-            status="Up 3 minutes (healthy)",
+LINE = {
+    "name": "/nav-node-1",
+    "state": "running",
+    "code": 0,
+    "restarts": 2,
+    "health": "healthy",
+    "policy": "unless-stopped",
+    "started": "2026-09-21T14:13:20.123456789Z",
+    "ended": "0001-01-01T00:00:00Z",
+    "service": "node",
+    "release": "abc",
+    "stack": "nav",
+    "robot": "pi1",
+}
+NODE = Container(
+    name="nav-node-1",
+    service="node",
+    release="abc",
+    stack="nav",
+    robot="pi1",
+    state="running",
+    health="healthy",
+    restarts=2,
+    policy="unless-stopped",
+    since=1_790_000_000.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("values", "seen"),
+    [
+        ({}, NODE),
+        (
+            {"state": "exited", "code": 7, "health": "", "ended": "2026-09-21T14:13:30Z"},
+            replace(NODE, state="exited", code=7, health="", since=1_790_000_010.0),
         ),
-    )
+        ({"started": "0001-01-01T00:00:00Z"}, replace(NODE, since=-62135596800.0)),
+        ({"started": "soon"}, replace(NODE, since=0.0)),
+        ({"robot": None, "restarts": "many"}, replace(NODE, robot="", restarts=0)),
+    ],
+)
+def test_containers_say_how_they_are(values: dict[str, object], seen: Container) -> None:
+    """From lines of JSON; Docker's warnings may stand between. Their stack is there, also without its folder."""
+    said = f"WARNING: no swap limit\n{json.dumps({**LINE, **values})}\n[]\n{{}}"
+    assert parse(answer(docker="28.0.4", containers=said)).fleet.stacks == {
+        "nav": StackFacts(containers=(seen,))
+    }
+
+
+def test_each_stack_has_its_own_containers() -> None:
+    """Two stacks on one robot may have services and releases of the same name."""
+    lines = "\n".join(json.dumps({**LINE, "stack": stack}) for stack in ("nav", "cam", "nav"))
+    stacks = parse(answer(stacks="stack cam\ncurrent releases/abc", containers=lines)).fleet.stacks
+    assert [(name, len(stack.containers)) for name, stack in stacks.items()] == [("cam", 1), ("nav", 2)]
 
 
 @pytest.mark.parametrize(

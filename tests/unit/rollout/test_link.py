@@ -48,11 +48,15 @@ def test_a_command_that_fails_is_explained(home: Home) -> None:
 def test_the_facts_of_a_robot(sshds: Sshds) -> None:
     """One round trip; what its login scripts print is kept apart."""
     home = start(sshds, "pi1", before="echo Welcome")
-    (home.path / ".fleet/releases/abc").mkdir(parents=True)
+    (home.path / ".fleet/stacks/abc").mkdir(parents=True)
     link = Link(home.robot)
     seen = link.facts()
     link.close()
-    assert (seen.fleet.releases, seen.login.noise, seen.login.name) == (("abc",), "Welcome", home.robot.user)
+    assert (tuple(seen.fleet.stacks), seen.login.noise, seen.login.name) == (
+        ("abc",),
+        "Welcome",
+        home.robot.user,
+    )
 
 
 def test_a_login_that_runs_no_commands_is_told_so(sshds: Sshds) -> None:

@@ -26,7 +26,7 @@ def test_observing_resumes_when_the_robot_is_back(home: Home, monkeypatch: pytes
     monkeypatch.setattr(reconnect, "_PAUSES", (0.1,))
     link, told = Link(home.robot), Told()
     link.session.close()
-    assert observe_one(link, images=False, progress=told).fleet.releases == ()
+    assert observe_one(link, images=False, progress=told).fleet.stacks == {}
     link.close()
     assert told.said == [
         ("pi1", "the connection was lost before the command started; trying again for 3 min")
@@ -57,7 +57,7 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
 
     def releases() -> tuple[str, ...] | None:
         now = seen.get("pi1")
-        return now.fleet.releases if isinstance(now, Facts) else None
+        return tuple(now.fleet.stacks) if isinstance(now, Facts) else None
 
     def person() -> None:
         def until(what: object) -> None:
@@ -66,7 +66,7 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
                 time.sleep(0.01)
 
         until(())
-        (home.path / ".fleet/releases/abc").mkdir(parents=True)
+        (home.path / ".fleet/stacks/abc").mkdir(parents=True)
         until(("abc",))
         told.append(home.logins)
         home.server.stop()

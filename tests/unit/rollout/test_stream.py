@@ -120,14 +120,14 @@ def test_logs_are_read_to_their_end(home: Home) -> None:
     """What to run comes from the robot's facts; a robot that has none is refused alone."""
 
     def argv(robot: Robot, facts: Facts) -> tuple[str, ...]:
-        if not facts.fleet.releases:
+        if not facts.fleet.stacks:
             raise NotReady("nothing has been shipped to it")
-        return ("printf", "%s\n", robot.name, *facts.fleet.releases)
+        return ("printf", "%s\n", robot.name, *facts.fleet.stacks)
 
     printed = Printed()
     (refused,) = stream.logs([home.robot], argv, follow=False, printer=printed, progress=Told())
     assert refused.reason == "nothing has been shipped to it"
-    (home.path / ".fleet/releases/abc").mkdir(parents=True)
+    (home.path / ".fleet/stacks/abc").mkdir(parents=True)
     (done,) = stream.logs([home.robot], argv, follow=False, printer=printed, progress=Told())
     assert (done.status, printed.of("pi1")) == ("done", ["pi1", "abc"])
 
