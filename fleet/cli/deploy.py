@@ -146,8 +146,9 @@ def ship(
     Each robot swaps the containers by itself and watches them; if they do not run, it goes back to the release before.
     If the connection drops, the transfer resumes where it stopped. A second run changes nothing.
     """
-    robots, screen = select(inventory, hosts)[1], Screen()
-    whose.once(robots)
+    fleet, robots = select(inventory, hosts)
+    screen = Screen()
+    whose.once(robots, among=fleet.robots.values())
     options = _Options(
         run=secrets.token_hex(8), wait=wait, conflict=_conflict(prefer), keep=keep, renamed=renamed
     )
@@ -259,8 +260,8 @@ def remove(
 ) -> int:
     """Take a stack off robots, and leave its data.
 
-    Its containers, networks and releases go. Its data stays (~/.fleet/stacks/NAME/data, and Docker's volumes). With --data the folder is
-    deleted too, after a question: nothing brings it back.
+    It removes the stack's containers, networks and releases. What containers have written stays: the folder
+    ~/.fleet/stacks/NAME/data and Docker's volumes. With --data the folder is deleted too, after a question.
     """
     if not stack:
         raise UsageError("which stack?", cure="fab remove --stack NAME; `fab status` shows the names")
@@ -270,16 +271,9 @@ def remove(
         raise UsageError("nothing was removed", cure="say --yes to delete without a question")
 
     def make(robot: Robot, facts: Facts) -> list[Plan]:
-        removing = containers.remove(robot=robot, stack=stack, facts=facts, by=whoami())
-        return [removing]
+        return [containers.remove(robot=robot, stack=stack, facts=facts, by=whoami(), data=data)]
 
-    def delete(robot: Robot, facts: Facts) -> list[Plan]:
-        return [containers.delete_data(robot=robot, stack=stack, facts=facts)]
-
-    code = execute(robots, make, dry=dry, json=json, screen=screen)
-    if not data or (code and not dry):
-        return code
-    return execute(robots, delete, dry=dry, json=json, screen=screen)
+    return execute(robots, make, dry=dry, json=json, screen=screen)
 
 
 @dataclass(frozen=True, kw_only=True)

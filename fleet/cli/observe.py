@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from fleet.cli import status as states
+from fleet.cli import whose
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
@@ -31,6 +32,8 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
     A robot's own settings override those of its groups, and those override the defaults.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
+    for one, other in whose.twins(robots):
+        screen.say(f"{one} and {other} have the same address: `fab ship` refuses them")
     if json:
         screen.json([robot.model_dump(mode="json") for robot in robots])
     else:
@@ -54,7 +57,10 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
             keep_observing(robots, seen, every=2.0, progress=NoProgress())
     else:
         screen.table(states.COLUMNS, [row for name, what in seen.items() for row in states.rows(name, what)])
-    return 0 if watch or all(states.good(what) for what in seen.values()) else 1
+    same = whose.same_computers(seen)
+    for one, other in same:
+        screen.say(f"{one} and {other} are the same computer: correct an address in the inventory")
+    return 0 if watch or (not same and all(states.good(what) for what in seen.values())) else 1
 
 
 @verb({"tail": "events to show for each robot; default: 10"}, looks=True)

@@ -144,7 +144,7 @@ class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotatio
         return expanded
 
 
-def collection(verbs: Iterable[Any], *, default: Any, **groups: Iterable[Any]) -> Collection:  # noqa: ANN401
+def collection(verbs: Iterable[Any], *, default: Any, **groups: Iterable[Any]) -> Collection:  # noqa: ANN401  Fabric's tasks have no type
     """Collect the verbs as ``fab`` lists them; each of ``groups`` under its name (``lab.up``).
 
     ``default`` is the verb that runs when none is typed.
@@ -164,7 +164,7 @@ def summaries(verbs: Collection) -> dict[str, str]:
 class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
     """Fabric's program, with our page in place of its flags."""
 
-    def __init__(self, overview: Callable[[], str], **options: Any) -> None:  # noqa: ANN401
+    def __init__(self, overview: Callable[[], str], **options: Any) -> None:  # noqa: ANN401  Fabric's own
         super().__init__(**options)
         self._overview = overview
 

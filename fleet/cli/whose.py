@@ -6,10 +6,10 @@ import threading
 from typing import TYPE_CHECKING
 
 from fleet.config import yamlfile
-from fleet.errors import ComposeError, NotReady, SelectionError
+from fleet.errors import ComposeError, FleetError, NotReady, SelectionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from fleet.cli.stacks import RobotStack
     from fleet.config.inventory import Robot
@@ -28,20 +28,35 @@ def twins(robots: Sequence[Robot]) -> list[tuple[str, str]]:
     return pairs
 
 
-def once(robots: Sequence[Robot]) -> None:
-    """Refuse robots that are one computer as the inventory says.
+def once(robots: Sequence[Robot], *, among: Iterable[Robot] = ()) -> None:
+    """Refuse robots that the inventory gives the address of another: one of them, or ``among`` all that it has.
 
     Raises:
-        SelectionError: two of them have the same address.
+        SelectionError: a robot has the address of another.
 
     """
-    if pairs := twins(robots):
+    names = {robot.name for robot in robots}
+    everyone = tuple({robot.name: robot for robot in (*among, *robots)}.values())
+    if pairs := [pair for pair in twins(everyone) if names & set(pair)]:
         one, other = pairs[0]
-        address = next(robot.address for robot in robots if robot.name == one)
+        address = next(robot.address for robot in everyone if robot.name == one)
         raise SelectionError(
             f"{one} and {other} have the same address, {address}: each would replace what the other runs",
             cure="correct the address of one of them, or remove it, in the inventory",
         )
+
+
+def same_computers(seen: Mapping[str, Facts | FleetError]) -> list[tuple[str, str]]:
+    """Pairs of robots that answered, and are one computer."""
+    names: dict[str, str] = {}
+    pairs = []
+    for name, facts in seen.items():
+        identity = "" if isinstance(facts, FleetError) else facts.host.identity
+        if identity in names:
+            pairs.append((names[identity], name))
+        elif identity:
+            names[identity] = name
+    return pairs
 
 
 class Machines:

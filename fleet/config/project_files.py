@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 from pathspec import GitIgnoreSpec
 
+from fleet.config.compose import sources
 from fleet.errors import ComposeError
 from fleet.units import human_bytes
 
@@ -226,8 +227,6 @@ class _Collector:
 
     def _where(self, mount: Mount) -> str:
         """The line of a Compose file that names the path; without one the first file."""
-        from fleet.config.compose import sources  # noqa: PLC0415
-
         written = (str(mount.path), mount.path.name)
         for words in filter(None, written):
             for path in sources(self._project):

@@ -107,13 +107,14 @@ digest() {
     fi
 }
 lay() { # FROM TO
-    mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
+    mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
 }
 delivered() { path=$1 awk 'substr($0, 66) == ENVIRON["path"] { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
 merge_data() {
     seeds=$(folder "$release")/seeds
     mkdir -p "$here/data"
     [ -d "$seeds" ] || return 0
+    rm -f "$here/delivered.changed"
     find "$seeds" ! -type d -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
     : >"$here/delivered.new"
     while IFS= read -r path; do
@@ -135,6 +136,7 @@ merge_data() {
                     # An earlier one of that name is kept too.
                     mv -T --backup=numbered "$here/data/$path" "$here/data/$path.from-robot" || return 1
                     lay "$seeds/$path" "$here/data/$path" || return 1
+                    : >"$here/delivered.changed"
                     say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
                 else
                     entry=$last
@@ -225,7 +227,11 @@ run() { # RELEASE
     fi
     why=
     earlier=$(states | awk '{ printf "%s=%s ", $1, $5 }')
-    output=$(compose "$1" up --detach --no-build --pull never --remove-orphans 2>&1)
+    # A container that has a single file mounted keeps the one that was replaced: it is made anew.
+    anew=
+    [ ! -e "$here/delivered.changed" ] || anew=--force-recreate
+    # shellcheck disable=SC2086 # no word if it is empty
+    output=$(compose "$1" up --detach --no-build --pull never --remove-orphans $anew 2>&1)
     code=$?
     if [ "$code" = 0 ]; then
         watch
@@ -258,11 +264,15 @@ else
     run "$release"
 fi
 
+rm -f "$here/delivered.changed"
 if [ -z "$why" ]; then
-    become_current "$release"
-    note_history "$release" 'done'
-    rm -f "$here/journal"
-    exit 0
+    # What cannot be written down is not done: the next command would go back to another release.
+    if problem=$({ become_current "$release" && note_history "$release" 'done'; } 2>&1); then
+        rm -f "$here/journal"
+        exit 0
+    fi
+    say "release $release runs, and this cannot be recorded: $problem" >&2
+    exit 1
 fi
 
 say "$why" >&2

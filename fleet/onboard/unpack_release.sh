@@ -13,7 +13,7 @@ tar -x -p -f - -C "$part"
 if diff -r "$1" "$part" >/dev/null 2>&1; then
     rm -rf "$part"
 else
-    sync "$part"/* 2>/dev/null || sync
+    find "$part" -exec sync {} + 2>/dev/null || sync
     if [ -e "$1" ]; then mv -T "$1" "$1.replaced.$$.part"; fi
     mv -T "$part" "$1"
 fi

@@ -27,7 +27,7 @@ def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request
     """
     there = _current(facts, robot=robot, stack=stack)
     release = there.current
-    if verb == "start" and there.running:
+    if verb == "start" and there.running and not there.journal:
         return Plan(robot=robot.name, summary=f"release {release} runs")
     if verb == "stop" and not any(one.state in ("running", "restarting") for one in there.containers):
         return Plan(robot=robot.name, summary=f"release {release} is stopped")
@@ -38,8 +38,8 @@ def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request
     )
 
 
-def remove(*, robot: Robot, stack: str, facts: Facts, by: str) -> Plan:
-    """The steps that take a stack off a robot; its data and its volumes stay.
+def remove(*, robot: Robot, stack: str, facts: Facts, by: str, data: bool = False) -> Plan:
+    """The steps that take a stack off a robot; its volumes stay, and so does its ``data`` unless that is to go.
 
     Raises:
         NotReady: its Docker cannot be used.
@@ -47,35 +47,32 @@ def remove(*, robot: Robot, stack: str, facts: Facts, by: str) -> Plan:
     """
     ready(facts, robot=robot)
     there = facts.fleet.stacks.get(stack)
-    if there is None or not (there.releases or there.containers):
+    if there is None:
         return Plan(robot=robot.name, summary=f"has no stack {stack}")
+    off = (compose_steps.remove(stack, by=by),) if there.releases or there.containers else ()
+    deleted = _delete_data(stack, facts) if data and there.data != 0 else ()
+    if not off and not deleted:
+        nothing = f"has no data of stack {stack}" if data else f"has no stack {stack}"
+        return Plan(robot=robot.name, summary=nothing)
+    what = (f"stack {stack}" if off else "", f"data of stack {stack}" if deleted else "")
     return Plan(
-        robot=robot.name, summary=f"stack {stack} removed", steps=(compose_steps.remove(stack, by=by),)
+        robot=robot.name,
+        summary=f"{' and '.join(filter(None, what))} removed",
+        steps=(*off, *deleted),
     )
 
 
-def delete_data(*, robot: Robot, stack: str, facts: Facts) -> Plan:
-    """The steps that delete what a stack's containers have written.
-
-    Raises:
-        NotReady: its containers are still there.
-
-    """
-    ready(facts, robot=robot)
-    there = facts.fleet.stacks.get(stack)
-    if there is None or there.data == 0:
-        return Plan(robot=robot.name, summary=f"has no data of stack {stack}")
-    if there.containers:
-        cure = f"`fab remove --stack {stack} --hosts {robot.name}` first"
-        raise NotReady(f"containers of stack {stack} still use its data", cure=cure)
+def _delete_data(stack: str, facts: Facts) -> tuple[Step, ...]:
+    """The step that deletes what a stack's containers have written: as root, because containers write as root."""
     root = ("sudo", "-n") if facts.login.sudo == "free" else ()
     folder = f"{facts.login.home}/{paths.data(stack)}"
     delivered = f"{facts.login.home}/{paths.stack(stack)}/delivered"
-    return Plan(
-        robot=robot.name,
-        summary=f"data of stack {stack} deleted",
-        steps=(
-            Step(title=f"delete {folder}", argv=(*root, "rm", "-rf", "--one-file-system", folder, delivered)),
+    return (
+        Step(
+            title=f"delete {folder}",
+            argv=(*root, "rm", "-rf", "--one-file-system", folder, delivered),
+            limit=600.0,
+            resumes=True,
         ),
     )
 

@@ -55,7 +55,9 @@ def plan(
     there = facts.fleet.stacks.get(release.stack, StackFacts())
     home = facts.login.home
     written = there.current == release.id and there.checksum == release.checksum(home)
-    if written and not delivery.steps and there.running and not there.journal:
+    # Whether a file that both sides have changed is still undecided, only the robot knows.
+    decides = bool(release.seeds) and request.conflict == "desktop"
+    if written and not delivery.steps and there.running and not there.journal and not decides:
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     images = tuple(image.shipped_as for image in release.images)
     adopted = (compose_steps.adopt(facts.fleet.legacy),) if facts.fleet.legacy else ()
@@ -92,7 +94,7 @@ def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Reques
     if target not in there.releases:
         cure = f"it has: {', '.join(there.releases) or 'none'}"
         raise NotReady(f"release {target} is not on this robot", cure=cure)
-    if target == there.current and there.running:
+    if target == there.current and there.running and not there.journal:
         return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(
         robot=robot.name,

@@ -178,7 +178,13 @@ def _check_disk(sent: Sequence[Blob], batch: UploadBatch, facts: Facts) -> float
     """
     packed = sum(blob.size for blob in sent)
     unpacked = SLACK * sum(blob.unpacked for blob in sent)
-    _refuse(batch.size + packed + unpacked, facts)
+    _refuse(packed + unpacked + (batch.size if facts.disk.shared else 0), facts)
+    if not facts.disk.shared and batch.size > facts.disk.home_free:
+        raise NotReady(
+            f"its home directory needs {human_bytes(batch.size)} of free disk for the upload, "
+            f"and has {human_bytes(facts.disk.home_free)}",
+            cure="free some there: the upload is gathered in ~/.fleet/spool",
+        )
     return facts.disk.free - unpacked - (packed if facts.docker.containerd else 0)
 
 

@@ -9,12 +9,16 @@ from fleet.cli import whose
 from fleet.cli.stacks import RobotStack
 from fleet.config.compose import LEVELS, Project
 from fleet.config.inventory import StackFiles
-from fleet.errors import NotReady, SelectionError
+from fleet.errors import NotReady, SelectionError, Unreachable
 from fleet.robot.facts import StackFacts
 from tests.support.samples import PI, STACK, container, facts
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from fleet.errors import FleetError
+    from fleet.robot.facts import Facts
+
 
 TWIN = PI.model_copy(update={"name": "pi2"})
 
@@ -24,6 +28,26 @@ def test_one_address_for_two_robots_is_refused() -> None:
     assert whose.twins([PI, TWIN]) == [("pi1", "pi2")]
     with pytest.raises(SelectionError, match=r"pi1 and pi2 have the same address, pi1\.local"):
         whose.once([PI, TWIN])
+
+
+def test_a_twin_that_was_not_chosen_counts_too() -> None:
+    """`--hosts pi1` would replace what pi2 runs as well; twins that nobody ships to are left alone."""
+    with pytest.raises(SelectionError, match="have the same address"):
+        whose.once([PI], among=[TWIN, PI])
+    third = PI.model_copy(update={"name": "pi3", "address": "pi3.local"})
+    whose.once([third], among=[PI, TWIN, third])
+
+
+def test_one_computer_is_seen_by_its_identity() -> None:
+    """Robots that did not answer, or do not tell, are no pair."""
+    seen: dict[str, Facts | FleetError] = {
+        "a": facts(identity="x"),
+        "b": facts(identity="x"),
+        "c": facts(),
+        "d": facts(),
+        "e": Unreachable(""),
+    }
+    assert whose.same_computers(seen) == [("a", "b")]
 
 
 def test_robots_behind_one_forwarder_are_different() -> None:

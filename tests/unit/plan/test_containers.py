@@ -89,15 +89,22 @@ def test_a_stack_is_taken_off() -> None:
     assert again == Plan(robot="pi1", summary="has no stack talker")
 
 
-def test_data_is_deleted_by_its_own_step_only() -> None:
-    """When no container is left that uses it; by root if the login may, as containers write as anybody."""
-    with pytest.raises(NotReady, match="containers of stack talker still use its data"):
-        containers.delete_data(robot=PI, stack="talker", facts=robot_with(WELL, data=5))
-    (step,) = containers.delete_data(robot=PI, stack="talker", facts=robot_with(data=5)).steps
-    assert step.argv[:5] == ("sudo", "-n", "rm", "-rf", "--one-file-system")
-    assert step.argv[5] == "/home/pi/.fleet/stacks/talker/data"
-    none = containers.delete_data(robot=PI, stack="talker", facts=robot_with(data=0))
+def test_data_is_deleted_only_if_that_was_asked() -> None:
+    """After the containers that use it, in the same plan; by root if the login may, as containers write as anybody."""
+    plan = containers.remove(
+        robot=PI, stack="talker", facts=robot_with(WELL, data=5), by="tim@desktop", data=True
+    )
+    off, delete = plan.steps
+    assert off == compose_steps.remove("talker", by="tim@desktop")
+    assert delete.argv[:5] == ("sudo", "-n", "rm", "-rf", "--one-file-system")
+    assert delete.argv[5] == "/home/pi/.fleet/stacks/talker/data"
+    none = containers.remove(robot=PI, stack="talker", facts=facts(data=0), by="tim@desktop", data=True)
     assert none == Plan(robot="pi1", summary="has no data of stack talker")
+
+
+def test_a_swap_that_was_interrupted_is_finished() -> None:
+    """A journal says that somebody's command did not come to its end."""
+    assert planned("start", robot_with(WELL, journal="swap ship x")).steps
 
 
 @pytest.mark.parametrize("verb", ["start", "stop", "restart"])

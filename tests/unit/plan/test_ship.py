@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.config.project_files import File
 from fleet.errors import NotReady
 from fleet.images.image import Image
 from fleet.plan import compose_steps, ship
@@ -231,3 +232,18 @@ def test_to_the_current_release_that_does_not_run_starts_it(containers: tuple[()
     """Current is what the link says; what runs is another question."""
     plan = rolled(change(running(), containers=containers), to=NEW.id)
     assert plan.steps[-1:] == (up(NEW.id, verb="rollback"),)
+
+
+def test_a_conflict_can_be_decided_for_a_release_that_runs() -> None:
+    """Only the robot knows whether one is open, so it is asked; without files of both sides there can be none."""
+    seeds = {"tune.yaml": File(data=b"1")}
+    made = replace(NEW, seeds=seeds)
+    seen = change(running(), checksum=made.checksum(HOME))
+    desktop = replace(REQUEST, conflict="desktop")
+
+    def steps(of: Release, request: Request, there: Facts) -> tuple[Step, ...]:
+        return ship.plan(robot=PI, release=of, facts=there, delivery=Delivery(), request=request).steps
+
+    assert steps(made, REQUEST, seen) == ()
+    assert steps(made, desktop, seen)[-1].argv[-1] == "desktop"
+    assert steps(NEW, desktop, running()) == ()

@@ -250,6 +250,14 @@ def test_whole_images_as_a_stream() -> None:
     )
 
 
+def test_a_home_on_a_small_disk_of_its_own_must_hold_the_upload() -> None:
+    """The upload is gathered there, so Docker's disk needs that much less."""
+    size = batch(delivered(robot())).size
+    assert delivered(change(robot(), shared=False, home_free=size)).steps
+    with pytest.raises(NotReady, match=r"its home directory needs .* of free disk for the upload"):
+        delivered(change(robot(), shared=False, home_free=size - 1))
+
+
 def test_room_for_whole_images() -> None:
     """Docker's copy of the archive, and the layers."""
     needed = round(2.1 * TALKER.image.size)
