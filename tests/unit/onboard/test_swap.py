@@ -503,6 +503,40 @@ def test_a_decision_later_takes_the_desktops(robot: Robot) -> None:
     assert (robot.data / "f.from-robot").read_text() == "robot"
 
 
+def test_a_decision_reaches_a_container_that_runs(robot: Robot) -> None:
+    """It has the single file mounted, and would keep the one that was replaced: it is made anew."""
+    tune = robot.data / "tune.yaml"
+    mount = {"volumes": [f"{tune}:/tune.yaml"]}
+    for name, text in (("one", "1"), ("two", "2")):
+        robot.release(name, seeds={"tune.yaml": text}, more=mount)
+    assert robot.swap("one").returncode == 0
+    tune.write_text("robot")
+    assert robot.swap("two").returncode == 0
+    before = robot.ids()
+    assert robot.swap("two").returncode == 0
+    assert robot.ids() == before
+    assert robot.swap("two", conflict="desktop").returncode == 0
+    (container,) = robot.ids()
+    inside = subprocess.run(
+        ("docker", "exec", container, "cat", "/tune.yaml"), check=True, capture_output=True
+    )
+    assert (inside.stdout, container in before) == (b"2", False)
+    assert robot.swap("two", conflict="desktop").returncode == 0
+    assert robot.ids() == [container]
+
+
+def test_what_cannot_be_recorded_is_not_done(robot: Robot) -> None:
+    """A full disk, for example: the release runs, and whoever asked must know that the robot could not write it down."""
+    robot.release("one")
+    (robot.folder / "history.new").mkdir()
+    done = robot.swap("one")
+    assert (done.returncode, "release one runs, and this cannot be recorded" in done.stderr) == (1, True)
+    assert (robot.folder / "journal").exists()
+    (robot.folder / "history.new").rmdir()
+    assert robot.swap("one").returncode == 0
+    assert not (robot.folder / "journal").exists()
+
+
 def test_modes_links_and_odd_names(robot: Robot) -> None:
     """A seed keeps its executable bit, a link stays one, and names may hold anything but a line's end."""
     robot.release("one", seeds={"a 'b' $c\\d*": "x", "run.sh": "#!"})
