@@ -6,5 +6,16 @@ from importlib import resources
 
 
 def text(name: str) -> str:
-    """The text of a file of this folder, such as ``probe.sh``: what ``sh -c`` on a robot is given."""
+    """The text of a script of this folder, such as ``probe.sh``: what ``sh -c`` on a robot is given.
+
+    It travels with each command. Comments and indentation are a third of it, so they stay here, but for the first two
+    lines, which say what the script does.
+    """
+    lines = source(name).splitlines()
+    code = (line.lstrip() for line in lines[2:])
+    return "\n".join((*lines[:2], *(line for line in code if line and not line.startswith("#")), ""))
+
+
+def source(name: str) -> str:
+    """The whole text of a file of this folder."""
     return (resources.files(__name__) / name).read_text(encoding="utf-8")

@@ -252,6 +252,7 @@ if [ "$verb" = stop ]; then
 fi
 
 journal begin
+rm -f "$here/releases/.shipping-$release" # from here on the journal says that it is needed
 clear_half_made
 why=
 exec 3>&1 # for notes

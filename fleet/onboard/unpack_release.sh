@@ -7,6 +7,8 @@ set -e
 umask 022
 part=$1.$$.part
 mkdir -p "$part"
+# Whoever removes old releases leaves this one alone until it is started, or for an hour (remove_releases.sh).
+: >"${1%/*}/.shipping-${1##*/}"
 tar -x -p -f - -C "$part"
 # The last file of the archive: tar is content with an archive that was cut between two files.
 [ -e "$part/services" ]

@@ -30,7 +30,7 @@ LEAST = 2
 _OURS = re.compile(r".+:fleet-[0-9a-f]{12}")
 
 YOUNG = 3600
-"""Seconds for which a release that was just written stays: another desktop may be about to start it."""
+"""Seconds for which a release stays that another desktop has written to start it."""
 
 
 def plan(*, robot: Robot, facts: Facts, stacks: Iterable[str], keep: int) -> Plan:

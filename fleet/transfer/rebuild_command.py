@@ -76,7 +76,7 @@ def _places(chain: tuple[str, ...], root: str) -> tuple[tuple[str, tuple[str, ..
 
 def program() -> bytes:
     """The program that is sent to the robot."""
-    return onboard.text("rebuild_layer.py").encode()
+    return onboard.source("rebuild_layer.py").encode()
 
 
 def program_digest() -> str:

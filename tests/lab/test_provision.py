@@ -197,7 +197,7 @@ def test_a_script_that_does_nothing_is_not_believed(blank: Target) -> None:
     outcome, _ = blank.provision(b"#!/bin/sh\nexit 0\n")
     assert (outcome.status, outcome.step) == ("failed", "prove that the script installed Docker")
     assert outcome.reason.startswith("the script ended without an error, and did not install Docker")
-    assert outcome.cure == "`sudo sh -x .fleet/get-docker.sh` there shows what it does"
+    assert outcome.cure == "`sudo sh -x .fleet/get-docker.sh` on the robot shows what the script does"
     assert blank.root("cat /home/pi/.fleet/get-docker.sh") == "#!/bin/sh\nexit 0"
 
 

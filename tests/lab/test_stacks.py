@@ -104,8 +104,10 @@ def test_one_computer_is_one_robot(project: Project, pi: Pi) -> None:
     also = project.write("also.yaml", f"robots: {{twin: {{address: {pi.address}, user: pi}}}}")
     project.inventory(also=also)
     said = project.fab("ship", "--hosts", "pi1,twin")
-    assert said.code in (1, 2)
-    assert "same" in said.all
+    assert (said.code, "pi1 and twin have the same address" in said.err) == (2, True)
+    assert project.fab("ship", "--hosts", "pi1").code == 2
+    project.inventory()
     project.well("ship", "--hosts", "pi1")
-    said = project.fab("ship", "--hosts", "twin")
+    said = project.fab("ship", "--hosts", "twin", "--inventory", str(also))
     assert said.code == 1
+    assert "was shipped to as pi1, and the inventory calls it twin" in said.all

@@ -156,7 +156,7 @@ def test_edit_of_the_node_is_one_small_layer(image: str, tmp_path: Path) -> None
     """After a change of one line, all other layers are the ones that robots already have."""
     for part in ("docker", "talker", "fleet/ros/tcpros.py", ".dockerignore"):
         source, copy = PROJECT / part, tmp_path / part
-        copy.parent.mkdir(exist_ok=True)
+        copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(source, copy) if source.is_dir() else shutil.copy(source, copy)
     node = tmp_path / "talker/nodes/talker"
     same = build("same", desktop_platform(), context=tmp_path)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from fleet import onboard
+
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted((ROOT / "fleet").rglob("*.py"))
 
@@ -293,3 +295,12 @@ def test_a_shell_script_in_a_string_is_found() -> None:
     assert shell_scripts(ast.parse(script.format("f", "{y}")))
     assert not shell_scripts(ast.parse("x = 'set -e\\nif [ 1 ]; then echo\\nfi'"))
     assert not shell_scripts(ast.parse("'''If it is\ndone,\nit ends\nat last.'''"))
+
+
+def test_what_travels_is_the_same_script() -> None:
+    """Without comments and indentation it means the same to a shell: each of these can be parsed, and says what it does."""
+    for path in sorted((ROOT / "fleet/onboard").glob("*.sh")):
+        text = onboard.text(path.name)
+        assert subprocess.run(("sh", "-n", "-c", text), check=False).returncode == 0, path
+        assert text.splitlines()[:2] == path.read_text().splitlines()[:2]
+        assert len(text) < len(path.read_text())

@@ -23,7 +23,7 @@ def test_the_program_that_rebuilds_layers_has_the_same_codes() -> None:
 
 def test_the_receiving_script_has_the_same_codes() -> None:
     """The desktop reads them to decide whether to resume, to wait or to try another strategy."""
-    (line,) = re.findall("^unusable=.*", onboard.text("receive.sh"), re.MULTILINE)
+    (line,) = re.findall("^unusable=.*", onboard.source("receive.sh"), re.MULTILINE)
     codes = dict(word.split("=") for word in line.partition("#")[0].split())
     assert {name.upper(): int(code) for name, code in codes.items()} == {
         name: getattr(exit_codes, name) for name in ("UNUSABLE", "BROKEN_OFF", "BUSY")

@@ -73,7 +73,7 @@ def test_a_damaged_release_is_made_whole_and_nothing_of_it_is_removed(home: Path
     (folder / "extra").write_text("by hand")
     assert do(step, home).returncode == 0
     assert tree(folder) == whole(new)
-    (aside,) = (path for path in folder.parent.iterdir() if path != folder)
+    (aside,) = (path for path in folder.parent.glob("[!.]*") if path != folder)
     assert aside.name.startswith(f"{new.id}.replaced.")
     assert aside.name.endswith(paths.PART)
     assert (aside / "extra").read_text() == "by hand"
