@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from bench import barepool
 from bench.pairs import Cost, compare, spend
 from fleet.robot import probe
+from tests.support.homes import identity
 from tests.support.sshd import Sshds
 
 if TYPE_CHECKING:
@@ -57,9 +58,12 @@ class Servers:
 def servers(count: int, *, folder: Path, environment: Mapping[str, str]) -> Iterator[Servers]:
     """So many real sshd on this computer, all of the person who runs this; ended afterwards."""
     started = Sshds(folder)
-    options = (f"SetEnv SHLVL=2 PATH={_programs(folder)}",)
+    programs = _programs(folder)
     try:
-        many = tuple(started.start(f"pi{number}", options=options) for number in range(1, count + 1))
+        many = tuple(
+            started.start(name, options=(f'SetEnv SHLVL=2 "PATH={identity(folder, name)}:{programs}"',))
+            for name in (f"pi{number}" for number in range(1, count + 1))
+        )
         yield Servers(inventory=_inventory(many, folder), ports=_ports(many, folder), environment=environment)
     finally:
         started.stop()

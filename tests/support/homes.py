@@ -42,8 +42,19 @@ def start(sshds: Sshds, name: str, *, before: str = "", trusted: bool = True) ->
     path = sshds.folder / f"home of {name}"
     path.mkdir(exist_ok=True)
     said = f"{before}; " if before else ""
-    run = f'ForceCommand cd "{path}" && export HOME="{path}" && {said}exec sh -c "$SSH_ORIGINAL_COMMAND"'
+    own = f'export HOME="{path}" PATH="{identity(sshds.folder, name)}:$PATH"'
+    run = f'ForceCommand cd "{path}" && {own} && {said}exec sh -c "$SSH_ORIGINAL_COMMAND"'
     return Home(server=sshds.start(name, options=(run,), trusted=trusted), path=path)
+
+
+def identity(folder: Path, name: str) -> Path:
+    """A folder for the front of a robot's PATH that gives it a machine-id of its own: all share this computer's."""
+    programs = folder / f"identity of {name}"
+    programs.mkdir(exist_ok=True)
+    cat = programs / "cat"
+    cat.write_text(f'#!/bin/sh\n[ "$1" != /etc/machine-id ] || exec echo "{name}"\nexec /bin/cat "$@"\n')
+    cat.chmod(0o755)
+    return programs
 
 
 class Told:
