@@ -17,21 +17,41 @@ from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachab
 from fleet.ros import environment, rosmsg, tcpros
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Generator, Iterator, Mapping
 
     from fleet.config.inventory import Robot
 
 STEP = 10.0  # seconds for each request to a name server, master or node
+AGAIN = 0.5  # seconds until a publisher that went away is looked for again
 
 
-def messages(robot: Robot, topic: str, *, timeout: float) -> Iterator[str]:
+def messages(robot: Robot, topic: str, *, timeout: float) -> Generator[str]:
     """Yield a topic's messages from now on, each as text like that of ``rostopic echo``.
 
     A relative topic name is resolved in the robot's namespace, as for its own nodes. ``timeout``: seconds without a
-    message after which the topic counts as silent. The iterator ends only by raising `Unreachable`, `NotAsPlanned`,
-    `TimedOut` or `LinkLost`, depending on the step that failed.
+    message after which the topic counts as silent. A publisher that goes away, as in a restart or a ship, has as long to
+    come back. The iterator ends only by raising `Unreachable`, `NotAsPlanned`, `TimedOut` or `LinkLost`, depending on the
+    step that failed.
     """
     name = tcpros.resolved(topic, robot.ros.namespace or "")
+    lost = None  # when the publisher went away
+    while True:
+        try:
+            for text in _from_one_publisher(robot, name, timeout=timeout):
+                lost = None
+                yield text
+        except LinkLost:
+            lost = lost or time.monotonic()
+            if time.monotonic() - lost > timeout:
+                raise
+        except RobotError:
+            if lost is None or time.monotonic() - lost > timeout:
+                raise
+        time.sleep(AGAIN)
+
+
+def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[str]:
+    """Yield messages until the publisher goes away: then `LinkLost` is raised."""
     with contextlib.closing(_stream(robot, name)) as stream:
         try:
             types = rosmsg.parse(stream.type, stream.definition)
@@ -47,7 +67,7 @@ def messages(robot: Robot, topic: str, *, timeout: float) -> Iterator[str]:
         except tcpros.GraphError as problem:
             raise LinkLost(
                 f"the publisher of {name} closed the connection",
-                cure="it was stopped or restarted: listen again",
+                cure=f"`fab status --hosts {robot.name}` shows whether its containers run",
             ) from problem
 
 

@@ -108,6 +108,7 @@ def test_one_computer_is_one_robot(project: Project, pi: Pi) -> None:
     assert project.fab("ship", "--hosts", "pi1").code == 2
     project.inventory()
     project.well("ship", "--hosts", "pi1")
+    project.well("trust", "--yes", "--inventory", str(also))
     said = project.fab("ship", "--hosts", "twin", "--inventory", str(also))
     assert said.code == 1
     assert "was shipped to as pi1, and the inventory calls it twin" in said.all

@@ -68,7 +68,7 @@ def first_message(robot: Robot, *, within: float) -> str:
     end = time.monotonic() + within
     while True:
         try:
-            with closing(listen.messages(robot, "time", timeout=10)) as arriving:  # type: ignore[type-var]
+            with closing(listen.messages(robot, "time", timeout=10)) as arriving:
                 return str(next(arriving))
         except RobotError:
             if time.monotonic() > end:

@@ -5,6 +5,7 @@ import errno
 import os
 import socket
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -40,7 +41,7 @@ def robot(master_port: int, *, address: str = "127.0.0.1", **settings: str) -> R
 
 
 def first(of: Robot, topic: str = "/time", *, timeout: float = 5) -> str:
-    with contextlib.closing(listen.messages(of, topic, timeout=timeout)) as arriving:  # type: ignore[type-var]
+    with contextlib.closing(listen.messages(of, topic, timeout=timeout)) as arriving:
         return next(arriving)
 
 
@@ -209,12 +210,19 @@ def test_silent_topic(peers: Peers) -> None:
 
 
 def test_publisher_hangs_up(peers: Peers) -> None:
-    """Messages before the end are not lost; the end is told."""
+    """It is looked for again, as after a restart: listening goes on, and no message before the end is lost."""
     peers.hang_up = True
-    arriving = listen.messages(robot(peers.master_port), "/time", timeout=5)
-    assert [next(arriving), next(arriving)] == ['data: "noon"', 'data: "later"']
+    with closing(listen.messages(robot(peers.master_port), "/time", timeout=5)) as arriving:
+        heard = [next(arriving) for _ in range(4)]
+    assert heard == ['data: "noon"', 'data: "later"'] * 2
+
+
+def test_publisher_hangs_up_for_good(peers: Peers) -> None:
+    """One that does not come back, or never sends anything, is told after the time-out."""
+    peers.hang_up = True
+    peers.messages = ()
     with pytest.raises(LinkLost, match="closed the connection"):
-        next(arriving)
+        next(listen.messages(robot(peers.master_port), "/time", timeout=1))
 
 
 def test_unreadable_message(peers: Peers) -> None:
