@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from fleet.config import compose, project_files, stack
+from fleet.config import compose, docker_rules, project_files, stack
 from fleet.config.project_files import File, ProjectFiles
 from fleet.errors import InventoryError, NotReady, UsageError
 from fleet.robot import release
@@ -106,6 +106,7 @@ class Stacks:
         project = self._project(spec)
         environment = {**environment_of(robot), **self._variables(project, robot)}
         resolved = compose.resolve(project, environment=environment)
+        docker_rules.check(resolved, project)
         return RobotStack(
             spec=spec,
             project=project,

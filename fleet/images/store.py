@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
+import functools
+import hashlib
+import io
+import json
 import os
+import tarfile
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from fleet.errors import DesktopError, ImageError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Generator, Iterable, Iterator
     from types import ModuleType
 
     import docker
 
-from fleet.images.identity import identity
-from fleet.images.image import Image, tagged_for
+from fleet.config.image_reference import one_image
+from fleet.images import image
+from fleet.images.chunks import SMALL, Chunks
+from fleet.images.image import Image, same_platform, tagged_for
 
 CHUNK = 1 << 20
 """Bytes read from the engine at once, at most."""
@@ -40,6 +49,8 @@ class Store:
         self._errors = docker.errors
         # A classic store stages every archive on this disk first: more at once would only fill it.
         self._turns = threading.BoundedSemaphore(8)
+        self._names: collections.Counter[str] = collections.Counter()
+        self._names_lock = threading.Lock()
 
     def __enter__(self) -> Self:
         return self
@@ -51,48 +62,138 @@ class Store:
         """The local image of that name for that platform: under the name of `tagged_for`, else under its own.
 
         Raises:
-            ImageError: there is no such image, or it was built for another platform.
+            ImageError: there is no such image, it was built for another platform, or Docker refuses the name.
+            DesktopError: Docker does not answer.
 
         """
-        wrong = ""
-        for name in (tagged_for(reference, platform), reference):
-            with contextlib.suppress(self._errors.ImageNotFound):
-                local = self._client.images.get(name)
-                built_for = _platform(local.attrs)
-                if built_for == platform:
-                    return Image(
-                        reference=name,
-                        platform=platform,
-                        size=local.attrs["Size"],
-                        identity=identity(local.attrs),
-                    )
-                wrong = f"the image {name} was built for {built_for}, and the robot runs {platform}"
+        others = []
+        for name in (tagged_for(reference, platform), one_image(reference)):
+            attributes = self._inspected(name)
+            if attributes is None:
+                continue
+            for found in self._images(name, attributes, platform):
+                if same_platform(found.platform, platform):
+                    return found
+                others.append(
+                    f"the image {name} was built for {found.platform}, and the robot runs {platform}"
+                )
         raise ImageError(
-            wrong or f"there is no image {reference} for {platform} here", cure="run `fab build`"
+            others[-1] if others else f"there is no image {reference} for {platform} here",
+            cure="run `fab build`",
         )
 
-    def export(self, image: Image) -> Generator[bytes]:
-        """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""
+    def _inspected(self, name: str) -> dict[str, Any] | None:
         try:
-            yield from self._client.api.get_image(image.reference, chunk_size=CHUNK)
+            attributes: dict[str, Any] = self._client.images.get(name).attrs
+        except self._errors.ImageNotFound:
+            return None
+        except self._errors.APIError as problem:
+            raise ImageError(
+                f"Docker refuses the image name {name}: {problem.explanation or problem}",
+                cure="correct `image:` in the Compose file",
+            ) from problem
         except (self._errors.DockerException, OSError) as problem:
-            raise DesktopError(f"reading image {image.reference} from Docker failed: {problem}") from problem
+            raise DesktopError(f"asking Docker for image {name} failed: {problem}") from problem
+        return attributes
+
+    def _images(self, name: str, attributes: dict[str, Any], wanted: str) -> Iterator[Image]:
+        """What a name holds: one image in a classic store, in a containerd store one for each of some platforms."""
+        shown = image.platform(
+            os=attributes["Os"],
+            architecture=attributes["Architecture"],
+            variant=attributes.get("Variant") or "",
+        )
+        identity, layers = attributes["Id"], tuple(attributes["RootFS"].get("Layers") or ())
+        if self._containerd:
+            config = self._configuration(name, attributes["Id"], wanted)
+            if config is not None:
+                shown, identity = wanted, f"sha256:{hashlib.sha256(config).hexdigest()}"
+                layers = tuple(json.loads(config)["rootfs"]["diff_ids"])
+        yield Image(reference=name, platform=shown, size=attributes["Size"], identity=identity, layers=layers)
+
+    @functools.cached_property
+    def _containerd(self) -> bool:
+        """Whether the engine keeps images in containerd, where the ID of an image is not the one of its configuration."""
+        try:
+            status = self._client.info().get("DriverStatus") or []
+        except (self._errors.DockerException, OSError) as problem:
+            raise DesktopError(f"Docker on this computer does not answer: {problem}") from problem
+        return any("io.containerd.snapshotter" in str(pair) for pair in status)
+
+    def _configuration(self, name: str, image_id: str, platform: str) -> bytes | None:
+        """Read it out of the archive of the image, and keep it: the archive may be large.
+
+        The file is named by the ID, the platform, and the digest of its content.
+        """
+        kept = folder() / f"{image_id.removeprefix('sha256:')}.{platform.replace('/', '-')}"
+        for path in kept.parent.glob(f"{kept.name}.*"):
+            data = path.read_bytes()
+            if path.name == f"{kept.name}.{hashlib.sha256(data).hexdigest()}":
+                return data
+        small = _small_members(self._saved(name))
+        config = image.configuration(small, platform)
+        if config is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            part = kept.with_name(f".{os.getpid()}.{threading.get_ident()}")
+            part.write_bytes(config)
+            part.replace(kept.with_name(f"{kept.name}.{hashlib.sha256(config).hexdigest()}"))
+        return config
+
+    def export(self, wanted: Image) -> Generator[bytes]:
+        """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""
+        yield from self._saved(wanted.reference)
+
+    def _saved(self, reference: str) -> Generator[bytes]:
+        try:
+            yield from self._client.api.get_image(reference, chunk_size=CHUNK)
+        except (self._errors.DockerException, OSError) as problem:
+            raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
 
     def archive(self, local: str, reference: str) -> Generator[bytes]:
         """The image ``local`` as ``docker save`` writes it, named ``reference``, in pieces of at most 1 MiB.
+
+        The archive contains the name by which it is asked for. It is a name here too, for as long as it is read.
 
         Raises:
             DesktopError: the engine fails while it is read.
 
         """
         try:
-            with self._turns:
-                self._client.images.get(local).tag(
-                    reference
-                )  # the archive contains the name it is requested by
+            with self._turns, self._named(local, reference):
                 yield from _gathered(self._client.api.get_image(reference, chunk_size=CHUNK))
         except (self._errors.DockerException, OSError) as problem:
             raise DesktopError(f"reading image {reference} from Docker failed: {problem}") from problem
+
+    @contextlib.contextmanager
+    def _named(self, local: str, reference: str) -> Generator[None]:
+        """Give an image a second name until the last of those who asked for it has done with it."""
+        with self._names_lock:
+            if not self._names[reference]:
+                self._client.images.get(local).tag(reference)
+            self._names[reference] += 1
+        try:
+            yield
+        finally:
+            with self._names_lock:
+                self._names[reference] -= 1
+                if not self._names[reference]:
+                    self._client.images.remove(reference, noprune=True)
+
+
+def folder() -> Path:
+    """Where configurations are kept; the variable ``XDG_CACHE_HOME`` changes it. It may be removed at any time."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "configurations"
+
+
+def _small_members(chunks: Iterable[bytes]) -> dict[str, bytes]:
+    """The members of an archive that are small enough to be JSON, by name."""
+    stream = io.BufferedReader(Chunks(chunks), CHUNK)
+    with tarfile.open(fileobj=stream, mode="r|", bufsize=CHUNK) as archive:
+        return {
+            member.name: content.read()
+            for member in archive
+            if member.isfile() and member.size <= SMALL and (content := archive.extractfile(member))
+        }
 
 
 def _client(sdk: ModuleType) -> docker.DockerClient:
@@ -113,10 +214,3 @@ def _gathered(pieces: Iterable[bytes]) -> Generator[bytes]:
         held.append(piece)
         size += len(piece)
     yield b"".join(held)
-
-
-def _platform(attributes: dict[str, Any]) -> str:
-    """Docker's name of an image's platform; a 32-bit ARM image without a variant counts as v7."""
-    architecture = attributes["Architecture"]
-    variant = attributes.get("Variant") or ("v7" if architecture == "arm" else "")
-    return "/".join(filter(None, (attributes["Os"], architecture, variant if architecture == "arm" else "")))

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Print what this robot has, in sections; read only, change nothing.
-# Usage: probe.sh IDENTITY_TEMPLATE [images]
+# Usage: probe.sh [images]
 # `images` adds the sections about layers and transfers, which take longer. fleet/robot/probe.py reads the answer.
 section() { printf '\n%s %s\n' '=fleet=' "$1"; }
 
@@ -101,13 +101,18 @@ if command -v docker >/dev/null; then
     docker ps -aq --no-trunc --filter label=fleet.release 2>/dev/null | xargs -r docker inspect --format \
         '{"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
     section images
-    docker image ls --format '{{.Repository}}:{{.Tag}}' 2>/dev/null | grep ':fleet-' | while read -r name; do
-        printf 'image %s\n' "$name"
-        docker image inspect --format "$1" "$name" 2>/dev/null
+    # Name, ID, the configuration that its receipt names, and the digest of the receipt.
+    docker image ls --no-trunc --format '{{.Repository}}:{{.Tag}} {{.ID}}' 2>/dev/null | grep ':fleet-' | while read -r name id; do
+        receipt=$HOME/.fleet/receipts/${name##*:fleet-}
+        if [ -f "$receipt" ]; then
+            printf '%s %s %s %s\n' "$name" "$id" "$(sed -n 's/.*"config": *{[^}]*"digest": *"\([^"]*\)".*/\1/p' "$receipt")" "$(sha256sum <"$receipt" | cut -c1-64)"
+        else
+            printf '%s %s\n' "$name" "$id"
+        fi
     done
 fi
 
-if [ "$2" = images ]; then
+if [ "${1-}" = images ]; then
     if command -v docker >/dev/null; then
         section layers
         docker image ls -aq --no-trunc 2>/dev/null | sort -u |

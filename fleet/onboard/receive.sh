@@ -135,7 +135,7 @@ forget() { # the private names, and the container of an attempt that was interru
     docker image ls --format '{{.Repository}}:{{.Tag}}' "$incoming" | xargs -r docker image rm >/dev/null
 }
 note load
-forget
+# The private names of an earlier attempt stay until this one has ended: its layers may be among those that are not sent.
 if ! load "$@"; then
     case $output in *'no space left'*)
         echo "$output" >&2

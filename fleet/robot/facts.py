@@ -170,7 +170,7 @@ class Fleet:
     """What fleet has put on the robot.
 
     ``stacks`` maps each stack's name to what there is of it. ``images`` maps the name of each image that fleet sent to
-    its identity lines (`fleet.images.identity.IDENTITY`). ``image_store`` is empty unless the probe asked for it.
+    its identity (`fleet.images.image`). ``image_store`` is empty unless the probe asked for it.
     ``legacy`` is the stack that the first version of fleet has shipped, where its releases are not taken over yet.
     """
 

@@ -13,7 +13,6 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from fleet import onboard
-from fleet.images.identity import IDENTITY
 from fleet.robot import image_store
 from fleet.robot.facts import (
     Container,
@@ -38,7 +37,7 @@ MARK = "=fleet="
 
 def command(*, images: bool = False) -> tuple[str, ...]:
     """The argv that probes a robot; with ``images`` also its layers and transfers, which takes longer."""
-    return ("sh", "-c", onboard.text("probe.sh"), "probe", IDENTITY, *(["images"] if images else []))
+    return ("sh", "-c", onboard.text("probe.sh"), "probe", *(["images"] if images else []))
 
 
 def parse(text: str) -> Facts:
@@ -236,5 +235,13 @@ def _time(text: str) -> float:
 
 
 def _images(text: str) -> dict[str, str]:
-    blocks = (block.partition("\n") for block in f"\n{text}".split("\nimage ")[1:])
-    return {name: identity.strip() for name, _, identity in blocks}
+    """The identity of each image by its name: its ID, or what the manifest of that ID names as its configuration."""
+    images = {}
+    for line in text.splitlines():
+        name, _, rest = line.partition(" ")
+        match rest.split():
+            case [id_, config, receipt] if id_ == f"sha256:{receipt}":
+                images[name] = config
+            case [id_, *_]:
+                images[name] = id_
+    return images

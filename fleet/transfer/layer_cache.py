@@ -16,9 +16,10 @@ import tempfile
 import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 from fleet.errors import DesktopError
+from fleet.images.chunks import SMALL, Chunks
 from fleet.images.layer import PLAIN, Blob
 from fleet.transfer import codec
 from fleet.transfer.codec import ENCODINGS
@@ -35,8 +36,6 @@ MOST = 20_000_000_000
 """Bytes that the cache may hold when a run ends."""
 
 _CHUNK = 1 << 20
-_SMALL = 4_000_000
-"""Bytes; the configuration of an image is smaller."""
 
 
 def folder() -> Path:
@@ -76,9 +75,9 @@ class LayerCache:
 
     def config(self, image: Image) -> bytes:
         """The configuration of an image, byte for byte: its digest is the image's identity. Raises like `pack`."""
-        path = self._directory / f"{image.fingerprint}.config"
+        path = self._directory / f"{image.identity.removeprefix('sha256:')}.config"
         with self._lock, _explained():
-            if not path.exists():
+            if not _is(path, image.identity):
                 self._unpack(image, set(), None)
             os.utime(path)
             return path.read_bytes()
@@ -157,13 +156,13 @@ class LayerCache:
         small: dict[str, bytes] = {}
         with contextlib.suppress(OSError, ValueError):
             self._names |= json.loads(self.noted("names"))
-        stream = io.BufferedReader(_Chunks(self._export(image)), _CHUNK)
+        stream = io.BufferedReader(Chunks(self._export(image)), _CHUNK)
         with tarfile.open(fileobj=stream, mode="r|", bufsize=_CHUNK) as archive:
             for member in archive:
                 content = archive.extractfile(member) if member.isfile() else None
                 if content is None:
                     continue
-                if member.size <= _SMALL:
+                if member.size <= SMALL:
                     small[member.name] = content.read()
                     content = io.BytesIO(small[member.name])
                 if encoding:
@@ -173,13 +172,14 @@ class LayerCache:
         self.note("names", json.dumps(self._names))
 
     def _keep_config(self, image: Image, small: dict[str, bytes]) -> None:
-        try:
-            config = small[json.loads(small["manifest.json"])[0]["Config"]]
-        except (KeyError, IndexError, TypeError, ValueError) as problem:
-            raise DesktopError(
-                f"the archive of {image.reference} does not name its configuration"
-            ) from problem
-        self.note(f"{image.fingerprint}.config", config.decode())
+        hex_digest = image.identity.removeprefix("sha256:")
+        for data in small.values():
+            if hashlib.sha256(data).hexdigest() == hex_digest:
+                self.note(f"{hex_digest}.config", data.decode())
+                return
+        raise DesktopError(
+            f"{image.reference} is another image than a moment ago", cure="run the same command again"
+        )
 
     def _layer(self, name: str, content: IO[bytes], missing: set[str], encoding: Encoding) -> None:
         """Pack a member of the archive, and keep it if it is a missing layer.
@@ -202,6 +202,14 @@ class LayerCache:
                 self.note(_name(blob.diff_id, encoding), json.dumps(asdict(blob)))
         finally:
             Path(part).unlink(missing_ok=True)
+
+
+def _is(path: Path, digest: str) -> bool:
+    """Whether a file is there with the content of that digest."""
+    try:
+        return f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" == digest
+    except OSError:
+        return False
 
 
 def _name(diff_id: str, encoding: Encoding) -> str:
@@ -240,27 +248,6 @@ def _inflated(first: bytes, rest: IO[bytes]) -> Iterator[bytes]:
     yield inflate(first)
     while chunk := rest.read(_CHUNK):
         yield inflate(chunk)
-
-
-class _Chunks(io.RawIOBase):
-    """Chunks of bytes that can be read as a file."""
-
-    def __init__(self, chunks: Iterable[bytes]) -> None:
-        self._chunks = iter(chunks)
-        self._rest = b""
-
-    def readable(self) -> bool:
-        """See ``io.IOBase.readable``."""
-        return True
-
-    def readinto(self, buffer: Any) -> int:  # noqa: ANN401  Python has no name for a buffer before 3.12
-        """See ``io.RawIOBase.readinto``."""
-        view = memoryview(buffer)
-        self._rest = self._rest or next(self._chunks, b"")
-        count = min(len(view), len(self._rest))
-        view[:count] = self._rest[:count]
-        self._rest = self._rest[count:]
-        return count
 
 
 @contextlib.contextmanager

@@ -101,7 +101,10 @@ def test_one_shots_are_done_when_they_have_ended_well(project: Project, pi: Pi) 
 
 def test_one_computer_is_one_robot(project: Project, pi: Pi) -> None:
     """A second name for it is refused, whether the address says so or the computer itself."""
-    also = project.write("also.yaml", f"robots: {{twin: {{address: {pi.address}, user: pi}}}}")
+    key = project.lab.inventory.with_name("id_ed25519")
+    also = project.write(
+        "also.yaml", f"robots: {{twin: {{address: {pi.address}, user: pi, identity_file: {key}}}}}"
+    )
     project.inventory(also=also)
     said = project.fab("ship", "--hosts", "pi1,twin")
     assert (said.code, "pi1 and twin have the same address" in said.err) == (2, True)

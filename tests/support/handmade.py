@@ -13,7 +13,6 @@ import uuid
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from fleet.images.identity import identity
 from fleet.images.image import Image
 from fleet.images.layer import Blob
 from fleet.transfer import codec
@@ -98,17 +97,12 @@ class Handmade:
 
     @property
     def image(self) -> Image:
-        said = {
-            "Os": "linux",
-            "Architecture": "amd64",
-            "Config": self.run,
-            "RootFS": {"Layers": self.diff_ids},
-        }
         return Image(
             reference=self.reference,
             platform="linux/amd64",
             size=sum(map(len, self.layers)),
-            identity=identity(said),
+            identity=digest(self.config),
+            layers=self.diff_ids,
         )
 
     @property

@@ -23,7 +23,8 @@ TALKER = Image(
     reference="talker:latest-arm64",
     platform="linux/arm64",
     size=241_000_000,
-    identity="linux/arm64\nlayer sha256:aa\ncmd roslaunch\nuser ros\ndirectory",
+    identity=f"sha256:{'a1' * 32}",
+    layers=("sha256:aa",),
 )
 PROJECT = Project(
     files=(Path("talker/compose.yaml"),),

@@ -30,8 +30,8 @@ LIBRARIES = {
 PURE = {
     *("errors", "platforms", "terminal", "units"),
     *("diagnosis.explain", "diagnosis.known_errors"),
-    *("config.selection", "config.stack", "config.validation"),
-    *("images.identity", "images.image", "images.layer"),
+    *("config.image_reference", "config.selection", "config.stack", "config.validation"),
+    *("images.chunks", "images.image", "images.layer"),
     *("ros.environment", "ros.rosmsg"),
     *("robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",
@@ -47,7 +47,7 @@ PURE = {
 
 READS_FILES = {
     *("config.compose", "config.inventory", "config.merge", "config.project_files", "config.yamlfile"),
-    "robot.release",
+    *("config.docker_rules", "robot.release"),
 }
 
 EFFECTS = {

@@ -1,25 +1,19 @@
 from __future__ import annotations
 
+import hashlib
+import json
+
 import pytest
 
-from fleet.images.image import Image, repository, tagged_for
-
-
-@pytest.mark.parametrize(
-    ("reference", "name"),
-    [
-        ("talker", "talker"),
-        ("talker:1.2", "talker"),
-        ("me/talker:1.2", "me/talker"),
-        ("registry.local:5000/talker", "registry.local:5000/talker"),
-        ("registry.local:5000/me/talker:1.2", "registry.local:5000/me/talker"),
-        ("talker@sha256:" + "a" * 64, "talker"),
-        ("talker:1.2@sha256:" + "a" * 64, "talker"),
-    ],
+from fleet.images.image import (
+    Image,
+    configuration,
+    same_platform,
+    tagged_for,
 )
-def test_the_repository_of_a_reference(reference: str, name: str) -> None:
-    """Neither tag nor digest; a port is none of them."""
-    assert repository(reference) == name
+
+X = "sha256:2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"
+Y = f"sha256:{'1' * 64}"
 
 
 @pytest.mark.parametrize(
@@ -29,7 +23,9 @@ def test_the_repository_of_a_reference(reference: str, name: str) -> None:
         ("talker", "linux/arm/v7", "talker:latest-armv7"),
         ("talker:1.2", "linux/amd64", "talker:1.2-amd64"),
         ("registry.local:5000/talker", "linux/arm64", "registry.local:5000/talker:latest-arm64"),
-        ("talker@sha256:" + "a" * 64, "linux/arm64", "talker:latest-arm64"),
+        ("talker@sha256:" + "a" * 64, "linux/arm64", f"talker:sha256-{'a' * 12}-arm64"),
+        ("talker:1@sha256:" + "b" * 64, "linux/arm64", f"talker:sha256-{'b' * 12}-arm64"),
+        ("talker:" + "x" * 128, "linux/amd64", f"talker:{'x' * 80}-24da1b81d0b1-amd64"),
     ],
 )
 def test_builds_for_each_platform_have_tags_of_their_own(reference: str, platform: str, tag: str) -> None:
@@ -39,9 +35,49 @@ def test_builds_for_each_platform_have_tags_of_their_own(reference: str, platfor
 
 def test_an_image_is_shipped_under_a_name_that_says_what_it_is() -> None:
     """The same content has the same name whatever it is called here; other content has another."""
-    one = Image(reference="talker:latest-arm64", platform="linux/arm64", size=1, identity="x")
-    moved = Image(reference="talker:1.2", platform="linux/arm64", size=1, identity="x")
-    other = Image(reference="talker:latest-arm64", platform="linux/arm64", size=1, identity="y")
-    assert one.shipped_as == "talker:fleet-2d711642b726"  # the first digits of `printf x | sha256sum`
+    one = Image(reference="talker:latest-arm64", platform="linux/arm64", size=1, identity=X)
+    moved = Image(reference="talker:1.2", platform="linux/arm64", size=1, identity=X)
+    other = Image(reference="talker:latest-arm64", platform="linux/arm64", size=1, identity=Y)
+    assert one.shipped_as == "talker:fleet-2d711642b726"
     assert moved.shipped_as == one.shipped_as
     assert other.shipped_as != one.shipped_as
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("linux/arm64", "linux/arm64/v8", True),
+        ("linux/arm", "linux/arm/v7", True),
+        ("linux/arm/v6", "linux/arm/v7", False),
+        ("linux/amd64", "linux/arm64", False),
+    ],
+)
+def test_platforms_have_more_than_one_name(one: str, other: str, same: bool) -> None:
+    """Compose files say linux/arm64/v8 where Docker says linux/arm64."""
+    assert same_platform(one, other) is same
+
+
+def test_the_configuration_for_a_platform_is_found_through_an_index() -> None:
+    """A containerd store saves an index of manifests, of which some are no images."""
+
+    def add(value: object) -> str:
+        data = json.dumps(value).encode()
+        digest = hashlib.sha256(data).hexdigest()
+        members[f"blobs/sha256/{digest}"] = data
+        return f"sha256:{digest}"
+
+    members: dict[str, bytes] = {}
+    configs = {name: add({"os": "linux", "architecture": name, "config": {}}) for name in ("amd64", "arm64")}
+    manifests = [{"digest": add({"config": {"digest": digest}})} for digest in configs.values()]
+    index = add({"manifests": [*manifests, {"digest": f"sha256:{'0' * 64}"}, "nonsense"]})
+    members["index.json"] = json.dumps({"manifests": [{"digest": index}]}).encode()
+    found = configuration(members, "linux/arm64/v8")
+    assert found
+    assert f"sha256:{hashlib.sha256(found).hexdigest()}" == configs["arm64"]
+    assert configuration(members, "linux/arm/v7") is None
+
+
+@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, "[1]", '{"manifests": 7}', '[{"Config": "x"}]'])
+def test_an_archive_that_says_nonsense_holds_nothing(text: str) -> None:
+    """Whoever wrote it."""
+    assert configuration({"manifest.json": text.encode(), "index.json": text.encode()}, "linux/arm64") is None

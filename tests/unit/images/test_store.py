@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from fleet.errors import DesktopError, ImageError
-from fleet.images import identity as facts
-from fleet.images.store import CHUNK, Store
+from fleet.images.store import CHUNK, Store, _small_members
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -101,16 +100,30 @@ def store(desktop: None) -> Iterator[Store]:  # noqa: ARG001
         yield opened
 
 
-@pytest.mark.parametrize("config", [{}, CONFIG, {**CONFIG, "Healthcheck": {"Test": ["NONE"]}}])
-def test_robot_and_desktop_tell_an_images_identity_alike(
-    shelf: Shelf, store: Store, config: dict[str, Any]
-) -> None:
-    """The robot's engine prints it from a template, the desktop computes it: a difference would ship for ever."""
-    shelf.load("latest-amd64", config=config)
-    assert (
-        shelf.inspect("latest-amd64", facts.IDENTITY).strip()
-        == store.find(shelf.name, "linux/amd64").identity
-    )
+def test_the_identity_is_the_digest_of_all_of_the_configuration(shelf: Shelf, store: Store) -> None:
+    """A label, a port, a comment in the history: whatever differs makes another image."""
+    seen = set()
+    config: dict[str, Any]
+    for config in (
+        {},
+        CONFIG,
+        {"Labels": {"version": "1"}},
+        {"Labels": {"version": "2"}},
+        {"ExposedPorts": {"80/tcp": {}}},
+    ):
+        shelf.load("latest-amd64", config=config)
+        found = store.find(shelf.name, "linux/amd64")
+        small = _small_members(store.export(found))
+        assert found.identity in {f"sha256:{hashlib.sha256(data).hexdigest()}" for data in small.values()}
+        seen.add(found.identity)
+    assert len(seen) == 5
+
+
+@pytest.mark.parametrize("name", ["Talker", "a:1:2", "http://registry/x", "a b"])
+def test_a_name_that_docker_refuses_is_refused(store: Store, name: str) -> None:
+    """With Docker's reason."""
+    with pytest.raises(ImageError, match=r"refuses the image name|there is no image"):
+        store.find(name, "linux/amd64")
 
 
 def test_the_build_for_the_platform_is_found_first(shelf: Shelf, store: Store) -> None:
@@ -120,7 +133,7 @@ def test_the_build_for_the_platform_is_found_first(shelf: Shelf, store: Store) -
     found = store.find(shelf.name, "linux/arm64")
     assert (found.reference, found.platform) == (f"{shelf.name}:latest-arm64", "linux/arm64")
     assert found.size > 0
-    assert store.find(shelf.name, "linux/amd64").reference == shelf.name
+    assert store.find(shelf.name, "linux/amd64").reference == f"{shelf.name}:latest"
 
 
 def test_a_32_bit_arm_image_is_taken_for_v7(shelf: Shelf, store: Store) -> None:
@@ -154,12 +167,13 @@ def test_an_archive_flows_in_pieces_and_holds_the_image_under_its_new_name(
     shelf.load("latest-amd64", config=CONFIG, size=3 * CHUNK)
     found = store.find(shelf.name, "linux/amd64")
     pieces = list(store.archive(found.reference, found.shipped_as))
+    assert shelf.tags() == ["latest-amd64"]  # the other name was there only while it was read
     assert len(pieces) > 3
     assert max(len(piece) for piece in pieces) <= CHUNK
     shelf.clear()
     subprocess.run(("docker", "load", "--quiet"), input=b"".join(pieces), check=True, capture_output=True)
     assert shelf.tags() == [found.shipped_as.rpartition(":")[2]]
-    assert shelf.inspect(shelf.tags()[0], facts.IDENTITY).strip() == found.identity
+    assert shelf.inspect(shelf.tags()[0]).strip() == found.identity
 
 
 def test_an_image_that_goes_away_while_it_is_wanted_is_the_desktops_failure(

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.images.identity import IDENTITY
 from fleet.images.layer import Blob
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
@@ -23,7 +22,10 @@ if TYPE_CHECKING:
 
 DIGEST = "1" * 64
 GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
-MANIFEST = json.dumps({"layers": [{"mediaType": GZIP, "digest": digest, "size": 7} for digest in ("x", "y")]})
+CONFIG = {"mediaType": "application/json", "digest": "sha256:c0", "size": 7}
+MANIFEST = json.dumps(
+    {"config": CONFIG, "layers": [{"mediaType": GZIP, "digest": digest, "size": 7} for digest in ("x", "y")]}
+)
 
 
 def ran(home: Path, shell: str = "sh", path: str = "") -> subprocess.CompletedProcess[str]:
@@ -241,9 +243,8 @@ def programs(tmp_path: Path) -> Path:
     docker = f"""case "$*" in
         'image ls -aq'*) echo {image}; echo {image} ;;
         'image ls'*Size*) echo 'talker:fleet-1 241MB' ;;
-        'image ls'*) echo talker:fleet-1 ;;
+        'image ls'*) echo talker:fleet-1 {image} && echo talker:fleet-0123456789ab {image} ;;
         *json*' {image}') echo '{image} ["a","b"]' ;;
-        'image inspect'*' talker:fleet-1') echo "asked for $4" ;;
         esac"""
     for name, script in (("docker", docker), ("zstd", ""), ("python3", "")):
         (path / name).write_text(f"#!/bin/sh\n{script}\n")
@@ -280,7 +281,8 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
         zstd=True,
         python=True,
     )
-    assert seen.fleet.images == {"talker:fleet-1": f"asked for {IDENTITY}"}
+    name = f"sha256:{hashlib.sha256(MANIFEST.encode()).hexdigest()}"
+    assert seen.fleet.images == {"talker:fleet-1": name, "talker:fleet-0123456789ab": "sha256:c0"}
 
 
 @pytest.mark.parametrize("shell", SHELLS)

@@ -98,7 +98,7 @@ def test_an_image_that_is_there_is_not_sent_again() -> None:
 
 def test_an_image_of_the_same_name_and_another_content_is_sent() -> None:
     """A load that broke off can leave the name on something else."""
-    plan = shipped(facts(images={TALKER.shipped_as: TALKER.identity.replace("aa", "bb")}))
+    plan = shipped(facts(images={TALKER.shipped_as: TALKER.identity.replace("a1", "bb")}))
     assert plan.steps == (WRITE, CHECK, LOAD, PROVE, up(NEW.id))
 
 
@@ -135,7 +135,12 @@ def test_only_what_comes_after_the_harmless_steps_can_need_a_way_back() -> None:
 
 def test_two_images_are_both_sent_and_proved_before_anything_starts() -> None:
     """Room is needed for both, and the summary says how much flows."""
-    other = Image(reference="camera:latest-arm64", platform="linux/arm64", size=9_000_000, identity="other")
+    other = Image(
+        reference="camera:latest-arm64",
+        platform="linux/arm64",
+        size=9_000_000,
+        identity=f"sha256:{'0c' * 32}",
+    )
     two = stack(a={"image": "talker"}, b={"image": "camera"})
     made = replace(release(of=two), images=(TALKER, other))
     plan = planned(made, facts())

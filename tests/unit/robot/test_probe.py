@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet import onboard
-from fleet.images import identity
 from fleet.robot.facts import Container, Disk, Docker, Facts, Fleet, Host, Login, Packages, StackFacts
 from fleet.robot.probe import MARK, command, parse
 
@@ -57,7 +56,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         client="Docker version 28.0.4, build b8034c0",
         store="/var/lib/docker overlay2 extfs true",
         compose="2.34.0",
-        images="image talker:fleet-1\nlinux/arm64\nlayer sha256:aa\nuser \ndirectory \nimage b:fleet-2\nlinux/arm64\ndirectory",
+        images="talker:fleet-1 sha256:aa\nb:fleet-2 sha256:bb",
     )
     assert parse(said) == Facts(
         host=Host(
@@ -97,10 +96,7 @@ def test_the_whole_answer_of_a_pi() -> None:
                 "cam": StackFacts(data=None),
             },
             legacy="old",
-            images={
-                "talker:fleet-1": "linux/arm64\nlayer sha256:aa\nuser \ndirectory",
-                "b:fleet-2": "linux/arm64\ndirectory",
-            },
+            images={"talker:fleet-1": "sha256:aa", "b:fleet-2": "sha256:bb"},
         ),
     )
 
@@ -204,11 +200,22 @@ def test_its_memory(said: str, memory: int) -> None:
     assert parse(answer(memory=said)).host.memory == memory
 
 
-def test_the_identity_template_is_an_argument() -> None:
-    """It never becomes part of the script's text."""
-    assert command()[4:] == (identity.IDENTITY,)
-    assert command(images=True)[4:] == (identity.IDENTITY, "images")
-    assert identity.IDENTITY not in command()[2]
+def test_images_are_asked_for_with_a_word() -> None:
+    """Without it the probe is the quick one."""
+    assert command()[4:] == ()
+    assert command(images=True)[4:] == ("images",)
+
+
+def test_the_identity_of_an_image_is_its_configurations_digest() -> None:
+    """Its ID in a classic store; in a containerd store what its receipt names, if that is the manifest of this ID."""
+    sent = "nav:fleet-2 sha256:m1 sha256:c1 m1"
+    other = "cam:fleet-3 sha256:m2 sha256:c2 m9"
+    seen = parse(answer(images=f"talker:fleet-1 sha256:c0\n{sent}\n{other}\nnonsense"))
+    assert seen.fleet.images == {
+        "talker:fleet-1": "sha256:c0",
+        "nav:fleet-2": "sha256:c1",
+        "cam:fleet-3": "sha256:m2",
+    }
 
 
 @pytest.mark.parametrize(

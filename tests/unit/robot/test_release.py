@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ABOVE = Path("/tmp/t").joinpath(*["up"] * LEVELS)
 HERE = f"{ABOVE}/robot"
 PROJECT = Project(files=(Path("robot/compose.yaml"),), real=Path("/home/tim/robot"), folder=ABOVE / "robot")
-IMAGE = Image(reference="x:latest", platform="linux/arm64", size=1, identity="linux/arm64\nlayer sha256:aa")
+IMAGE = Image(reference="x:latest", platform="linux/arm64", size=1, identity=f"sha256:{'aa' * 32}")
 FILES = ProjectFiles()
 
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet import onboard
 from fleet.errors import NotReady
-from fleet.images.identity import IDENTITY
 from fleet.images.layer import Blob
 from fleet.plan.delivery import Delivery
 from fleet.plan.step import ImageArchive, Step, UploadBatch
@@ -29,8 +29,10 @@ LOW, HIGH = TALKER.diff_ids
 RUN = TransferRun(to="pi1.local", token="token", by="tim@desktop")  # noqa: S106  of a run
 PROVE = Step(
     title="prove that the image arrived unchanged",
-    argv=("docker", "image", "inspect", "--format", IDENTITY, TALKER.image.shipped_as),
-    expect=TALKER.image.identity,
+    argv=(
+        *("sh", "-c", onboard.text("prove_image.sh"), "prove_image"),
+        *(TALKER.image.shipped_as, TALKER.image.identity, TALKER.image.fingerprint),
+    ),
     harmless=True,
     resumes=True,
     cure="run the same command again",
