@@ -4,7 +4,8 @@
 # usage: detach.sh TOKEN SCRIPT ARGUMENT...
 #
 # TOKEN names this run. The same command with the same token does not start the script again: it goes on showing, and
-# ends with the script's exit code. That is how a desktop comes back after it has lost its connection.
+# ends with the script's exit code. That is how a desktop comes back after it has lost its connection. A script that a
+# power cut has ended is started again by it, or by fleet-finish.service before: hence the folder has all that this needs.
 set -u
 token=$1 script=$2
 shift 2
@@ -14,22 +15,36 @@ restarted=74
 
 mkdir -p "$runs" || exit 1
 find "$runs" -mindepth 1 -maxdepth 1 -mtime +7 -exec rm -rf {} + 2>/dev/null
+launch() { setsid sh "$run/start" "$run" >/dev/null 2>&1 </dev/null & }
+# After a restart of the robot the process's number may be another one's.
+alive() { process=$(cat "$run/process" 2>/dev/null) && grep -qsaF "$run" "/proc/$process/cmdline"; }
+this_boot=$(cat /proc/sys/kernel/random/boot_id 2>/dev/null)
 if problem=$(mkdir "$run" 2>&1); then
+    printf '%s\n' "$this_boot" >"$run/boot"
     : >"$run/out"
-    # shellcheck disable=SC2016 # expanded by the shell that is started
-    setsid sh -c '
-        run=$1 script=$2; shift 2
-        echo $$ > "$run/process"
-        sh -c "$script" "$@" > "$run/out" 2> "$run/errors" < /dev/null
-        echo $? > "$run/code.new" && mv "$run/code.new" "$run/code"
-    ' detached "$run" "$script" "$@" >/dev/null 2>&1 </dev/null &
+    printf '%s' "$script" >"$run/script"
+    for word in "$@"; do printf '%s\n' "$word"; done >"$run/arguments"
+    cat >"$run/start" <<'END'
+run=$1
+exec 8>>"$run/lock" && flock -n 8 || exit 0
+[ ! -e "$run/code" ] || exit 0
+echo $$ >"$run/process"
+cat /proc/sys/kernel/random/boot_id >"$run/boot" 2>/dev/null
+set --
+while IFS= read -r word; do set -- "$@" "$word"; done <"$run/arguments"
+export FLEET_RUN="${run##*/}"
+sh -c "$(cat "$run/script")" "$@" >"$run/out" 2>"$run/errors" </dev/null 8>&-
+echo $? >"$run/code.new" && mv "$run/code.new" "$run/code"
+END
+    sync "$run"/* "$run" 2>/dev/null || sync
+    launch
 elif [ ! -d "$run" ]; then
     echo "$problem" >&2
     exit 1
+elif [ ! -e "$run/code" ] && [ -e "$run/start" ] && [ "$(cat "$run/boot" 2>/dev/null)" != "$this_boot" ]; then
+    echo 'note: was cut short: goes on'
+    launch
 fi
-
-# After a restart of the robot the process's number may be another one's.
-alive() { process=$(cat "$run/process" 2>/dev/null) && grep -qsaF "$run" "/proc/$process/cmdline"; }
 
 shown=0 quiet=0
 show() {
@@ -40,7 +55,8 @@ show() {
 while ! [ -e "$run/code" ]; do
     show
     if alive; then quiet=0; else quiet=$((quiet + 1)); fi
-    if [ "$quiet" -gt 10 ]; then
+    # Before there is a process, the card may have much to write.
+    if [ "$quiet" -gt 150 ] || { [ "$quiet" -gt 10 ] && [ -e "$run/process" ]; }; then
         echo 'the command ended early: the robot was restarted, or the command was killed' >&2
         exit "$restarted"
     fi

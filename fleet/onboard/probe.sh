@@ -51,6 +51,13 @@ section emulates
 grep -l '^enabled' /proc/sys/fs/binfmt_misc/qemu-* 2>/dev/null
 section boot
 systemctl is-enabled docker 2>/dev/null
+section finish
+if command -v systemctl >/dev/null; then
+    systemctl is-enabled fleet-finish 2>/dev/null
+    sha256sum /etc/systemd/system/fleet-finish.service 2>/dev/null | cut -c1-64
+else
+    echo 'no systemd'
+fi
 section daemon
 cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
 section packages
@@ -82,6 +89,7 @@ for here in "$HOME"/.fleet/stacks/*/; do
     printf 'data '
     timeout 2 du -sk "$here/data" 2>/dev/null | cut -f1 | grep . || if [ -d "$here/data" ]; then echo unknown; else echo 0; fi
     [ ! -s "$here/journal" ] || printf 'journal %s\n' "$(head -n 1 "$here/journal" | cut -c1-200)"
+    sed 's/^/proved /' "$here/proved" 2>/dev/null
     tail -n 200 "$here/history" 2>/dev/null | tr -d '\000' | cut -c1-1000 | sed 's/^/event /'
 done
 section legacy
@@ -99,7 +107,7 @@ if command -v docker >/dev/null; then
     docker compose version --short 2>/dev/null
     section containers
     docker ps -aq --no-trunc --filter label=fleet.release 2>/dev/null | xargs -r docker inspect --format \
-        '{"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
+        '{"id":{{json .Id}},"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
     section images
     # Name, ID, the configuration that its receipt names, and the digest of the receipt.
     docker image ls --no-trunc --format '{{.Repository}}:{{.Tag}} {{.ID}}' 2>/dev/null | grep ':fleet-' | while read -r name id; do

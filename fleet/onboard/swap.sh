@@ -1,18 +1,20 @@
 #!/bin/sh
 # bring the containers of a stack to a release, watch them, and go back if they do not run
 #
-# usage: swap.sh VERB STACK RELEASE BY WAIT SETTLE CONFLICT
+# usage: swap.sh VERB STACK RELEASE SEEN BY WAIT SETTLE CONFLICT
 #
-# VERB is ship, rollback, start, restart or stop. BY is who asked for it (tim@desktop). WAIT is how many seconds the
+# VERB is ship, rollback, start, restart or stop. SEEN is the release that was current when this was planned, -
+# for none and ? for unknown. BY is who asked for it (tim@desktop). WAIT is how many seconds the
 # containers may take to become healthy, SETTLE how many a container without a health check must run without a restart.
 # CONFLICT is robot or desktop: whose version of a file wins that both have changed.
 #
 # A release's file `services` names those that must run, each with its restart policy: no, on-failure or always.
 #
 # One process at a time holds the lock, and the journal says what it is about to do. The result is written by this
-# process, in the same breath as `current`, so that nobody has to be connected to hear it.
+# process, in the same breath as `current`, so that nobody has to be connected to hear it. After a power cut it is run again
+# with the same arguments.
 set -u
-verb=$1 stack=$2 release=$3 by=$4 wait=$5 settle=$6 conflict=$7
+verb=$1 stack=$2 release=$3 seen=$4 by=$5 wait=$6 settle=$7 conflict=$8
 fleet=$HOME/.fleet
 here=$fleet/stacks/$stack
 busy=75
@@ -47,10 +49,22 @@ say "$by, who runs fab $verb since $(date +%H:%M:%S)" >"$fleet/holder"
 # --- What is there
 
 folder() { printf '%s/releases/%s' "$here" "$1"; }
-[ -e "$(folder "$release")/compose.yaml" ] ||
-    fail "release $release is not on this robot any more; another command has removed it"
 before=$(readlink "$here/current" 2>/dev/null) || before=
 before=${before##*/}
+# While this waited, or before it was asked for, somebody else may have changed what is current.
+if [ "$seen" != '?' ] && [ "${before:--}" != "$seen" ] && [ "$before" != "$release" ]; then
+    last=$(tail -n 1 "$here/history" 2>/dev/null | tr '\t' ' ')
+    case $verb in
+        ship) say "note: takes the place of release $before, which came after this was planned: $last" ;;
+        rollback) fail "release $before is current now, which came after this was planned: $last. Nothing was done" ;;
+        *)
+            say "note: $verb of release $before, which came after this was planned: $last"
+            release=${before:-$release}
+            ;;
+    esac
+fi
+[ -e "$(folder "$release")/compose.yaml" ] ||
+    fail "release $release is not on this robot any more; another command has removed it"
 [ -z "$before" ] || [ -e "$(folder "$before")/compose.yaml" ] || before=
 
 compose() { # RELEASE ARGUMENT...
@@ -75,8 +89,8 @@ clear_half_made() {
 }
 
 journal() { # PHASE
-    printf '%s %s %s %s %s %s\n' "$1" "$verb" "$release" "${before:--}" "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" |
-        put "$here/journal"
+    printf '%s %s %s %s %s %s\n%s\n' "$1" "$verb" "$release" "${before:--}" "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" \
+        "${FLEET_RUN:-}" | put "$here/journal"
 }
 
 note_history() { # RELEASE OUTCOME
@@ -169,14 +183,45 @@ data_folders() {
 template='{{.ID}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.Status}} {{.State.ExitCode}} {{.RestartCount}} {{with .State.Health}}{{.Status}}{{else}}none{{end}}'
 states() { ours --quiet | xargs -r docker inspect --format "$template" 2>/dev/null; }
 
+# Docker asks a container for its health every so many seconds, 30 if nothing else is said. Here the check's own command
+# is run as often as it takes, as Docker would run it. Prints the ID if it passes.
+check() { # ID
+    form='{{with .Config.Healthcheck}}{{printf "%d" .Timeout}} {{len .Test}}{{range .Test}}{{println}}{{.}}{{end}}{{end}}'
+    test=$(docker inspect --format "$form" "$1" 2>/dev/null)
+    head=${test%%
+*}
+    id=$1 limit_ns=${head%% *} words=${head##* } kind=$(printf '%s\n' "$test" | sed -n 2p)
+    rest=$(printf '%s\n' "$test" | sed 1,2d)
+    set --
+    case $kind in
+        CMD)
+            # A word of several lines cannot be told from several words: Docker does it, later.
+            [ "$(printf '%s\n' "$test" | wc -l)" = $((words + 1)) ] || return
+            while IFS= read -r word; do set -- "$@" "$word"; done <<END
+$rest
+END
+            ;;
+        CMD-SHELL) set -- sh -c "$rest" ;;
+        *) return ;;
+    esac
+    [ "$limit_ns" -gt 0 ] || limit_ns=30000000000
+    timeout -k 1 $((limit_ns / 1000000000 + 1)) docker exec "$id" "$@" >/dev/null 2>&1 </dev/null && echo "$id"
+}
+check_all() { # ID...
+    for one in "$@"; do check "$one" & done
+    wait
+}
+
 # One line: `ok`, `wait WHY` or `bad WHY`. A container that was there before may have restarted in an earlier life.
 judge() { # SECONDS
-    states | awk -v settled="$([ "$1" -ge "$settle" ] && echo yes)" -v wanted="$wanted" -v earlier="$earlier" '
+    states | awk -v settled="$([ "$1" -ge "$settle" ] && echo yes)" -v wanted="$wanted" -v earlier="$earlier" -v proved="$proved" '
         BEGIN {
             n = split(wanted, pairs, " ")
             for (i = 1; i <= n; i++) { split(pairs[i], pair, "="); policy[pair[1]] = pair[2] }
             n = split(earlier, pairs, " ")
             for (i = 1; i <= n; i++) { split(pairs[i], pair, "="); count[pair[1]] = pair[2] }
+            n = split(proved, pairs, " ")
+            for (i = 1; i <= n; i++) passed[pairs[i]] = 1
         }
         !($2 in policy) { next }
         { seen[$2] = 1 }
@@ -187,7 +232,7 @@ judge() { # SECONDS
         $3 == "exited" || $3 == "dead" { bad = bad $2 " has ended with code " $4 "; "; next }
         $3 != "running" { wait = wait $2 " is " $3 "; "; next }
         $6 == "unhealthy" { bad = bad $2 " is unhealthy; "; next }
-        $6 == "starting" { wait = wait $2 " is not healthy yet; "; next }
+        $6 == "starting" && !($1 in passed) { wait = wait $2 " is not healthy yet; "; next }
         $6 == "none" && !settled { wait = wait $2 " has no health check; " }
         END {
             for (name in policy) if (!seen[name]) bad = bad name " has no container; "
@@ -198,13 +243,19 @@ judge() { # SECONDS
 }
 
 watch() {
-    began=$(date +%s) most=$wait
+    began=$(date +%s) most=$wait proved=
     [ "$settle" -le "$most" ] || most=$settle
     while :; do
+        # shellcheck disable=SC2046 # one word per container
+        proved="$proved $(check_all $(states | awk -v proved="$proved" '$3 == "running" && $6 == "starting" && !index(proved, $1) { print $1 }') | tr '\n' ' ')"
         passed=$(($(date +%s) - began))
         verdict=$(judge "$passed")
         case $verdict in
-            ok) return 0 ;;
+            ok)
+                rm -f "$here/proved"
+                for id in $proved; do echo "$id" >>"$here/proved"; done
+                return 0
+                ;;
             bad*)
                 why=${verdict#bad }
                 return 1
@@ -214,8 +265,27 @@ watch() {
             why="${verdict#wait } after $passed s"
             return 1
         fi
-        sleep 1
+        sleep 0.5
     done
+}
+
+# Compose stops the old container, removes it, and only then starts the new one. Docker starts a container at boot that
+# was stopped only if its policy is `always`: so the old ones have it for as long as it takes, and a power cut in between
+# leaves the old release running.
+stay_at_boot() {
+    ids=$(ours --quiet --filter status=running)
+    # shellcheck disable=SC2086 # one word per container
+    ids=$([ -z "$ids" ] || docker inspect --format '{{.Id}} {{.HostConfig.RestartPolicy.Name}}' $ids | awk '$2 == "unless-stopped" { print $1 }')
+    [ -n "$ids" ] || return 0
+    printf '%s\n' "$ids" | put "$here/policies"
+    # shellcheck disable=SC2086
+    docker update --restart always $ids >/dev/null
+    sync
+}
+restore_policies() {
+    [ -e "$here/policies" ] || return 0
+    while read -r id; do docker update --restart unless-stopped "$id" >/dev/null 2>&1; done <"$here/policies"
+    rm -f "$here/policies"
 }
 
 # Start a release and see it run; `why` says why not.
@@ -230,6 +300,7 @@ run() { # RELEASE
     # A container that has a single file mounted keeps the one that was replaced: it is made anew.
     anew=
     [ ! -e "$here/delivered.changed" ] || anew=--force-recreate
+    [ "$1" = "$before" ] || stay_at_boot
     # shellcheck disable=SC2086 # no word if it is empty
     output=$(compose "$1" up --detach --no-build --pull never --remove-orphans $anew 2>&1)
     code=$?
@@ -247,6 +318,7 @@ run() { # RELEASE
 
 if [ "$verb" = stop ]; then
     compose "$release" stop || exit 1
+    restore_policies
     note_history "$release" 'done'
     exit 0
 fi
@@ -267,6 +339,8 @@ fi
 
 rm -f "$here/delivered.changed"
 if [ -z "$why" ]; then
+    restore_policies
+    sync # Docker's own files too: what is said to run must be there after a power cut
     # What cannot be written down is not done: the next command would go back to another release.
     if problem=$({ become_current "$release" && note_history "$release" 'done'; } 2>&1); then
         rm -f "$here/journal"
@@ -285,6 +359,8 @@ if [ "$release" = "$before" ]; then
 elif [ -n "$before" ]; then
     journal back
     if run "$before"; then
+        restore_policies
+        sync
         say "went back to release $before, which runs" >&2
     else
         say "went back to release $before, which does not run either: $why" >&2

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 Verb = Literal["ship", "rollback", "start", "restart", "stop"]
 Conflict = Literal["robot", "desktop"]
 
+UNKNOWN = "?"
+"""In place of the release that was current when a swap was planned: nobody compares."""
+
 TURN = 240
 """Seconds to wait for another person's command on the same robot to end; `onboard/swap.sh` has it too."""
 
@@ -76,15 +79,18 @@ def adopt(stack: str) -> Step:
     )
 
 
-def swap(verb: Verb, stack: str, release: str, *, request: Request) -> Step:
-    """Bring a stack's containers to a release and watch them; if they do not run, go back to the one before."""
+def swap(verb: Verb, stack: str, release: str, *, seen: str, request: Request) -> Step:
+    """Bring a stack's containers to a release and watch them; if they do not run, go back to the one before.
+
+    ``seen`` is the release that was current when this was planned, "" if there was none.
+    """
     token = f"{request.run}.{stack}"
     numbers = (str(request.wait), str(request.settle))
     return Step(
         title=f"{_WORDS[verb]} release {release}" + (f" of {stack}" if stack else ""),
         argv=(
             *_script("detach.sh", token, onboard.text("swap.sh"), "swap"),
-            *(verb, stack, release, request.by, *numbers, request.conflict),
+            *(verb, stack, release, seen or "-", request.by, *numbers, request.conflict),
         ),
         # Its turn; the release; and the one before, if that has to be started again. Compose may take 120 s more each.
         limit=TURN + 2.0 * (request.wait + request.settle + 120) + 60,

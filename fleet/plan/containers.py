@@ -34,7 +34,7 @@ def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request
     return Plan(
         robot=robot.name,
         summary=f"{verb} release {release}",
-        steps=(compose_steps.swap(verb, stack, release, request=request),),
+        steps=(compose_steps.swap(verb, stack, release, seen=there.current, request=request),),
     )
 
 

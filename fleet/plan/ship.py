@@ -60,6 +60,7 @@ def plan(
     if written and not delivery.steps and there.running and not there.journal and not decides:
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
     images = tuple(image.shipped_as for image in release.images)
+    seen = compose_steps.UNKNOWN if facts.fleet.legacy else there.current
     adopted = (compose_steps.adopt(facts.fleet.legacy),) if facts.fleet.legacy else ()
     return Plan(
         robot=robot.name,
@@ -69,7 +70,7 @@ def plan(
             compose_steps.write(release, home=home),
             _check(release.stack, release.id),
             *delivery.steps,
-            compose_steps.swap("ship", release.stack, release.id, request=request),
+            compose_steps.swap("ship", release.stack, release.id, seen=seen, request=request),
         ),
         afterwards=prune.after(facts, stack=release.stack, keep=keep, shipped=release.id, images=images),
         forecast=delivery.forecast,
@@ -101,7 +102,7 @@ def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Reques
         summary=f"back to release {target}",
         steps=(
             _check(stack, target),
-            compose_steps.swap("rollback", stack, target, request=request),
+            compose_steps.swap("rollback", stack, target, seen=there.current, request=request),
         ),
     )
 

@@ -40,6 +40,7 @@ _SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
 _GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
 _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
 _IS_INSTALLED = "command -v docker || { echo 'the script ended without an error, and did not install Docker' >&2; exit 1; }"
+_FINISH = "cat > /etc/systemd/system/fleet-finish.service && systemctl daemon-reload && systemctl enable --quiet fleet-finish"
 _REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
 # systemctl only reports that Docker did not start; the reason is in the journal.
@@ -73,7 +74,7 @@ def plan(
     install = _installation(robot, facts, script=script, bounds=bounds)
     if install:
         _check_disk(facts)
-    changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts))
+    changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts), *_finish(facts))
     zstd = apt.zstd(facts=facts, bounds=bounds)
     steps = changes or zstd
     if not steps:
@@ -244,6 +245,25 @@ def _boot(facts: Facts) -> tuple[Step, ...]:
     else:
         argv = as_root(facts, "systemctl", "enable", "--now", "docker")
     return (Step(title="start Docker now and at every boot", argv=argv, limit=120.0),)
+
+
+def finish_unit(login: str) -> str:
+    """The text of the unit that finishes, at boot, the swap of containers that a power cut has interrupted."""
+    return onboard.source("finish.service").replace("LOGIN", login)
+
+
+def _finish(facts: Facts) -> tuple[Step, ...]:
+    unit = finish_unit(facts.login.name).encode()
+    if facts.docker.finish_unit in (hashlib.sha256(unit).hexdigest(), "no systemd"):
+        return ()
+    return (
+        Step(
+            title="let the robot finish a swap after a power cut (fleet-finish.service)",
+            argv=as_root(facts, "sh", "-c", _FINISH),
+            feed=Bytes(label="fleet-finish.service", data=unit),
+            limit=60.0,
+        ),
+    )
 
 
 def _proof(robot: Robot) -> tuple[Step, ...]:

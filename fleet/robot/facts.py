@@ -112,7 +112,8 @@ class Docker:
     ``version`` is the engine's and is empty unless the state is ``ready``; ``client`` and ``compose`` are the versions of
     the ``docker`` command and of its Compose plugin. ``data_root`` is often on another disk on Jetsons. ``driver`` is the
     image store's, and ``containerd`` says whether containerd keeps the images. ``members`` are the users of the group
-    ``docker``, None without such a group. ``daemon_config`` is the text of ``/etc/docker/daemon.json``.
+    ``docker``, None without such a group. ``daemon_config`` is the text of ``/etc/docker/daemon.json``. ``finish_unit`` is the SHA-256
+    of the enabled unit that finishes swaps at boot, "" if there is none, "no systemd" if there cannot be one.
     """
 
     state: EngineState = "absent"
@@ -125,6 +126,7 @@ class Docker:
     members: tuple[str, ...] | None = None
     daemon_config: str = ""
     starts_at_boot: bool = False
+    finish_unit: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,7 +56,9 @@ def parse(text: str) -> Facts:
             docker_source=bool(sections["source"]),
         ),
         fleet=Fleet(
-            stacks=_stacks(sections["stacks"], _containers(sections["containers"])),
+            stacks=_stacks(
+                sections["stacks"], _containers(sections["containers"], _proved(sections["stacks"]))
+            ),
             legacy=sections["legacy"],
             images=_images(sections["images"]),
             image_store=image_store.parse(sections),
@@ -104,6 +106,7 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
         containerd="io.containerd.snapshotter.v1" in status,
         members=_members(sections["group"]),
         daemon_config=sections["daemon"],
+        finish_unit=_finish_unit(sections["finish"]),
         starts_at_boot=sections["boot"] == "enabled",
     )
 
@@ -125,6 +128,17 @@ def _store(line: str) -> tuple[str, str, str]:
 def _client(line: str) -> str:
     """``Docker version 26.1.5+dfsg1, build a72d7cd`` -> ``26.1.5+dfsg1``."""
     return line.removeprefix("Docker version ").partition(",")[0] if line.startswith("Docker version") else ""
+
+
+def _finish_unit(answer: str) -> str:
+    """The digest of the unit if it is enabled."""
+    match answer.split():
+        case ["enabled", digest]:
+            return digest
+        case ["no", "systemd"]:
+            return "no systemd"
+        case _:
+            return ""
 
 
 def _compose(answer: str) -> str:
@@ -193,17 +207,35 @@ def _stack(lines: list[str], containers: list[Container]) -> StackFacts:
     )
 
 
-def _containers(lines: str) -> tuple[Container, ...]:
+def _proved(stacks: str) -> frozenset[str]:
+    """The IDs of containers whose own check has passed in a swap, which Docker itself may ask for only later."""
+    lines = (line.split() for line in stacks.splitlines())
+    return frozenset(word for first, *rest in filter(None, lines) if first == "proved" for word in rest)
+
+
+def _containers(lines: str, proved: frozenset[str]) -> tuple[Container, ...]:
     """One container for each line of JSON; lines that are not JSON are Docker's warnings."""
-    return tuple(filter(None, map(_container, lines.splitlines())))
+    return tuple(filter(None, (_container(line, proved) for line in lines.splitlines())))
 
 
-def _container(line: str) -> Container | None:
+def _container(line: str, proved: frozenset[str]) -> Container | None:
     try:
         fields = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    words = ("name", "service", "release", "stack", "robot", "state", "health", "policy", "started", "ended")
+    words = (
+        "id",
+        "name",
+        "service",
+        "release",
+        "stack",
+        "robot",
+        "state",
+        "health",
+        "policy",
+        "started",
+        "ended",
+    )
     if not isinstance(fields, dict) or not fields.get("name"):
         return None
     text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in words}
@@ -218,7 +250,7 @@ def _container(line: str) -> Container | None:
         stack=text["stack"],
         robot=text["robot"],
         state=text["state"],
-        health=text["health"],
+        health="healthy" if text["health"] == "starting" and text["id"] in proved else text["health"],
         code=code,
         restarts=restarts,
         policy=text["policy"],

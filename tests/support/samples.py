@@ -112,6 +112,7 @@ def facts(**values: object) -> Facts:
             driver="overlay2",
             members=("pi",),
             starts_at_boot=True,
+            finish_unit="0" * 64,
         ),
     )
     return change(pi, **values)

@@ -38,7 +38,7 @@ STATUS = {
     *(f"login.{key}" for key in ("name", "home", "groups", "sudo", "noise")),
     *(f"disk.{key}" for key in ("size", "free", "home_free", "shared")),
     *(f"docker.{key}" for key in ("state", "version", "client", "compose", "data_root", "driver")),
-    *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot")),
+    *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot", "finish_unit")),
     *("packages.installed", "packages.interrupted", "packages.docker_source"),
     *("fleet.legacy", "fleet.stacks"),
     *(f"fleet.stacks.NAME.{key}" for key in STACK),

@@ -133,6 +133,32 @@ def test_a_process_that_died_is_told(robot: Attendants) -> None:
     assert time.monotonic() - began < 10
 
 
+def test_what_a_power_cut_has_ended_goes_on_when_the_desktop_is_back(robot: Attendants) -> None:
+    """From its beginning: it is a script that may be run again. Its end is kept as that of any other."""
+    one = robot.attend(LONG, "tim")
+    assert eventually((robot.home / "begun").exists)
+    os.killpg(int((robot.runs / "run.1/process").read_text()), signal.SIGKILL)
+    robot.ended(one)
+    (robot.runs / "run.1/boot").write_text("another\n")
+    (robot.home / "go").touch()
+    shown = "note: was cut short: goes on\nbegun\nended\n"
+    assert robot.run(LONG, "tim") == (9, shown, "for tim\n")
+    assert robot.run(LONG, "tim") == (9, "begun\nended\n", "for tim\n")
+
+
+def test_it_is_started_again_once_whoever_does_it(robot: Attendants) -> None:
+    """The unit of `provision` and a desktop may come at the same time."""
+    script = 'echo "$FLEET_RUN" >> count; sleep 0.5'
+    robot.run(script)
+    (robot.runs / "run.1/code").unlink()
+    both = [
+        subprocess.Popen(("sh", robot.runs / "run.1/start", robot.runs / "run.1"), cwd=robot.home)
+        for _ in range(2)
+    ]
+    assert [one.wait(10) for one in both] == [0, 0]
+    assert (robot.home / "count").read_text() == "run.1\n" * 2
+
+
 def test_the_number_of_a_dead_process_is_anothers_now(robot: Attendants) -> None:
     """After a restart of the robot numbers begin again: only the process of this run counts."""
     (robot.runs / "run.1").mkdir(parents=True)

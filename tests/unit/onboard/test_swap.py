@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import io
 import json
@@ -102,10 +103,17 @@ class Robot:
             seed.write_text(text)
 
     def argv(
-        self, release: str, *, verb: str = "ship", wait: int = 10, settle: int = 1, conflict: str = "robot"
+        self,
+        release: str,
+        *,
+        verb: str = "ship",
+        wait: int = 10,
+        settle: int = 1,
+        conflict: str = "robot",
+        seen: str = "?",
     ) -> tuple[str, ...]:
         numbers = (str(wait), str(settle))
-        return ("sh", "-c", onboard.text("swap.sh"), "swap", verb, self.stack, release, "tim@desktop", *numbers, conflict)  # fmt: skip
+        return ("sh", "-c", onboard.text("swap.sh"), "swap", verb, self.stack, release, seen, "tim@desktop", *numbers, conflict)  # fmt: skip
 
     @property
     def environment(self) -> dict[str, str]:
@@ -302,6 +310,65 @@ def test_unhealthy(robot: Robot) -> None:
     assert done.returncode == 1
     assert done.stderr.splitlines()[0] == "node is unhealthy"
     assert robot.containers() == {"node": "one running"}
+
+
+@pytest.mark.parametrize(
+    "check",
+    [["CMD", "sh", "-c", "cat /ready"], ["CMD-SHELL", "cat /nothing ||\n cat /ready"]],
+)
+def test_health_is_asked_for_before_docker_asks(robot: Robot, check: list[str]) -> None:
+    """Docker would ask a minute later; what was proved here is known to the next command."""
+    healthcheck = {"test": check, "interval": "60s", "retries": 3}
+    robot.release("r1", f"sleep 1; touch /ready; {STAYS}", more={"healthcheck": healthcheck})
+    began = time.monotonic()
+    done = robot.swap("r1", wait=30)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 1 < time.monotonic() - began < 10
+    assert (robot.folder / "proved").read_text().split() == robot.ids()
+
+
+def test_a_release_that_came_meanwhile(robot: Robot) -> None:
+    """A ship replaces it and says so, a rollback does nothing, and a restart is one of what is current."""
+    for name in ("r1", "r2", "r3"):
+        robot.release(name)
+    assert robot.swap("r1").returncode == 0
+    assert robot.swap("r2", seen="r1").returncode == 0
+    done = robot.swap("r1", seen="r1", verb="restart")
+    assert "note: restart of release r2, which came after this was planned: " in done.stdout
+    assert "ship r2 tim@desktop done" in done.stdout
+    assert (done.returncode, robot.containers()) == (0, {"node": "r2 running"})
+    done = robot.swap("r3", seen="r1", verb="rollback")
+    assert "release r2 is current now, which came after this was planned" in done.stderr
+    assert (done.returncode, robot.containers()) == (1, {"node": "r2 running"})
+    done = robot.swap("r3", seen="r1")
+    assert "note: takes the place of release r2" in done.stdout
+    assert (done.returncode, robot.containers()) == (0, {"node": "r3 running"})
+
+
+def policy(container: str) -> str:
+    form = "{{.HostConfig.RestartPolicy.Name}}"
+    return subprocess.run(
+        ("docker", "inspect", "--format", form, container), check=True, capture_output=True, text=True
+    ).stdout.strip()
+
+
+def test_a_release_that_stays_for_a_power_cut(robot: Robot) -> None:
+    """While the new one starts, the old one is a container that Docker starts again at boot; afterwards all is as written."""
+    robot.release("r1", restart="unless-stopped", policies="node=always\n")
+    robot.release("r2", CRASHES, restart="unless-stopped", policies="node=always\n")
+    assert robot.swap("r1").returncode == 0
+    (old,) = robot.ids()
+    swap = subprocess.Popen(robot.argv("r2", settle=4), env=robot.environment, stdout=-1, stderr=-1)
+    policies = set()
+    while swap.poll() is None:
+        with contextlib.suppress(subprocess.CalledProcessError):
+            policies.add(policy(old))
+        time.sleep(0.02)
+    swap.communicate()
+    assert "always" in policies
+    (back,) = robot.ids()
+    assert (swap.returncode, policy(back)) == (1, "unless-stopped")
+    assert not (robot.folder / "policies").exists()
 
 
 def test_not_healthy_in_time(robot: Robot) -> None:

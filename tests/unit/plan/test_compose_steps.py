@@ -45,17 +45,28 @@ def test_compose_runs_in_the_release_and_heeds_nothing_of_the_login(tmp_path: Pa
 )
 def test_a_swap_goes_on_without_the_desktop(verb: Verb, title: str) -> None:
     """Whoever comes back with the same token sees how it ends; both scripts get all that they need as arguments."""
-    step = compose_steps.swap(verb, "talker", "abc", request=REQUEST)
+    step = compose_steps.swap(verb, "talker", "abc", seen="def", request=REQUEST)
     assert (step.title, step.detached, step.resumes, step.harmless) == (title, True, True, False)
     assert step.argv == (
         *("sh", "-c", onboard.text("detach.sh"), "detach", "5f.talker"),
-        *(onboard.text("swap.sh"), "swap", verb, "talker", "abc", "tim@desktop", "200", "7", "desktop"),
+        *(
+            onboard.text("swap.sh"),
+            "swap",
+            verb,
+            "talker",
+            "abc",
+            "def",
+            "tim@desktop",
+            "200",
+            "7",
+            "desktop",
+        ),
     )
 
 
 def test_a_swap_has_time_for_its_turn_the_release_and_the_way_back() -> None:
     """The desktop gives up after the robot: `onboard/swap.sh` bounds each of these itself."""
-    step = compose_steps.swap("ship", "talker", "abc", request=REQUEST)
+    step = compose_steps.swap("ship", "talker", "abc", seen="", request=REQUEST)
     assert step.limit is not None
     assert step.limit > compose_steps.TURN + 2 * (200 + 7 + 120)
     assert f"FLEET_TURN:-{compose_steps.TURN}" in onboard.text("swap.sh")

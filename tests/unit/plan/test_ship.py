@@ -51,8 +51,8 @@ def rolled(seen: Facts, *, to: str = "") -> Plan:
     return ship.rollback(robot=PI, stack="talker", facts=seen, to=to, request=REQUEST)
 
 
-def up(of: str, *, verb: compose_steps.Verb = "ship") -> Step:
-    return compose_steps.swap(verb, "talker", of, request=REQUEST)
+def up(of: str, *, verb: compose_steps.Verb = "ship", seen: str = "") -> Step:
+    return compose_steps.swap(verb, "talker", of, seen=seen, request=REQUEST)
 
 
 def told(*releases: str, outcome: str = "done", verb: str = "ship") -> tuple[str, ...]:
@@ -93,7 +93,7 @@ def test_an_image_that_is_there_is_not_sent_again() -> None:
     """A new environment alone ships in a moment."""
     plan = shipped(facts(images=HAS_IMAGE, current="old", releases=("old",), containers=(container("old"),)))
     assert plan.size < 100_000
-    assert plan.steps == (WRITE, CHECK, up(NEW.id))
+    assert plan.steps == (WRITE, CHECK, up(NEW.id, seen="old"))
 
 
 def test_an_image_of_the_same_name_and_another_content_is_sent() -> None:
@@ -124,8 +124,8 @@ def test_a_second_ship_changes_nothing() -> None:
 )
 def test_whatever_is_not_as_it_should_be_is_shipped_again(values: dict[str, object]) -> None:
     """A container that is gone or ill, an image that was pruned, a directory that somebody removed."""
-    steps = shipped(change(running(), **values)).steps
-    assert steps[-1:] == (up(NEW.id),)
+    seen = change(running(), **values)
+    assert shipped(seen).steps[-1:] == (up(NEW.id, seen=seen.fleet.stacks["talker"].current),)
 
 
 def test_only_what_comes_after_the_harmless_steps_can_need_a_way_back() -> None:
@@ -181,7 +181,9 @@ def test_back_to_the_release_before() -> None:
         facts(current="b", releases=("a", "b"), history=told("a", "b"), containers=(container("b"),))
     )
     check = replace(CHECK, argv=compose_steps.compose("talker", "a", "config", "--quiet"))
-    assert plan == Plan(robot="pi1", summary="back to release a", steps=(check, up("a", verb="rollback")))
+    assert plan == Plan(
+        robot="pi1", summary="back to release a", steps=(check, up("a", verb="rollback", seen="b"))
+    )
 
 
 @pytest.mark.parametrize(
@@ -236,7 +238,7 @@ def test_to_the_release_that_runs_is_unchanged() -> None:
 def test_to_the_current_release_that_does_not_run_starts_it(containers: tuple[()]) -> None:
     """Current is what the link says; what runs is another question."""
     plan = rolled(change(running(), containers=containers), to=NEW.id)
-    assert plan.steps[-1:] == (up(NEW.id, verb="rollback"),)
+    assert plan.steps[-1:] == (up(NEW.id, verb="rollback", seen=NEW.id),)
 
 
 def test_a_conflict_can_be_decided_for_a_release_that_runs() -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fleet.plan.step import Plan, Step
 
 NOW = 1_800_000_000.0
+FINISH = "let the robot finish a swap after a power cut (fleet-finish.service)"
 SCRIPT = b"#!/bin/sh\necho hello\n"
 ROTATES = '{"log-driver": "json-file", "log-opts": {"max-size": "10m", "max-file": "3"}}'
 
@@ -33,6 +34,7 @@ READY = change(
     groups=("pi", "sudo", "docker"),
     members=("pi",),
     starts_at_boot=True,
+    finish_unit=hashlib.sha256(steps.finish_unit("pi").encode()).hexdigest(),
     daemon_config=ROTATES,
     installed=("docker-ce", "zstd"),
     docker_state="ready",
@@ -73,6 +75,7 @@ def test_a_blank_robot_gets_everything_in_a_safe_order() -> None:
         "remove the script",
         "let pi use Docker",
         "start Docker now and at every boot",
+        FINISH,
     ]
     proofs = plan.steps[-4:]
     assert [step.fresh_login for step in proofs] == [True, False, False, False]
@@ -105,6 +108,9 @@ def test_a_ready_robot_needs_no_rights() -> None:
         ),
         ({"interrupted": True}, []),
         ({"starts_at_boot": False}, ["start Docker now and at every boot"]),
+        ({"finish_unit": ""}, [FINISH]),
+        ({"finish_unit": "0" * 64}, [FINISH]),
+        ({"finish_unit": "no systemd"}, []),
         (
             {"docker_state": "forbidden", "docker_version": "", "groups": ("pi",), "members": ()},
             ["let pi use Docker", "start Docker now and at every boot"],

@@ -44,6 +44,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         temperature="54321",
         emulates="/proc/sys/fs/binfmt_misc/qemu-arm",
         boot="enabled",
+        finish="enabled\n0a1b",
         daemon='{\n  "log-driver": "json-file"\n}',
         packages="docker-ce\ndocker-buildx",
         interrupted="Status: install ok half-configured",
@@ -80,6 +81,7 @@ def test_the_whole_answer_of_a_pi() -> None:
             members=("pi", "tim"),
             daemon_config='{\n  "log-driver": "json-file"\n}',
             starts_at_boot=True,
+            finish_unit="0a1b",
         ),
         packages=Packages(installed=("docker-ce", "docker-buildx"), interrupted=True, docker_source=True),
         fleet=Fleet(
