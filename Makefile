@@ -4,6 +4,7 @@ VENV := .venv
 PYTHON ?= python3
 FAB := $(VENV)/bin/fab
 PIS := pi1,pi2,pi3
+CUTS := 50
 # Tests side by side. They mostly wait; those on virtual Pis need a lab of three for each.
 JOBS := 2
 PIP := $(VENV)/bin/pip --disable-pip-version-check install
@@ -13,7 +14,7 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh docker/*/*.sh) docker/lab/f
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -67,6 +68,10 @@ test-unit: testbed env ## all tests that need no virtual Pi
 test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
 	@$(PYTEST) tests/lab --dist loadfile --no-loadscope-reorder
+
+test-faults: testbed env ## many power cuts while virtual Pis change their containers; CUTS=200 takes an hour
+	$(STEP) 'Power cuts'
+	@FLEET_POWER_CUTS=$(CUTS) $(VENV)/bin/pytest tests/lab/test_power.py
 
 lint: env ## style, spelling, types, layers, shell scripts, the workflow
 	$(STEP) 'Style and types'
