@@ -71,7 +71,7 @@ def record(seen: Facts | FleetError) -> dict[str, Any]:
     if isinstance(seen, FleetError):
         return {"reachable": False, "reason": seen.what, "cure": seen.cure}
     facts = asdict(seen)
-    for bulky in ("images", "image_store"):  # for planning; a program would ask Docker
+    for bulky in ("images", "image_store", "claims"):  # for planning; a program would ask Docker
         del facts["fleet"][bulky]
     return {"reachable": True, "healthy": good(seen), **facts}
 

@@ -122,6 +122,8 @@ fi
 
 if [ "${1-}" = images ]; then
     if command -v docker >/dev/null; then
+        section claims
+        docker ps --all --format '{{.Names}}|{{.Label "com.docker.compose.project"}}|{{.Ports}}' 2>/dev/null
         section layers
         docker image ls -aq --no-trunc 2>/dev/null | sort -u |
             xargs -r docker image inspect --format '{{.Id}} {{json .RootFS.Layers}}' 2>/dev/null

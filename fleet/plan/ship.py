@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fleet.errors import NotReady
-from fleet.plan import compose_steps, prune
+from fleet.plan import claims, compose_steps, prune
 from fleet.plan.readiness import ready
 from fleet.plan.step import Plan, Step
 from fleet.robot import history
@@ -48,26 +48,22 @@ def plan(
     ``delivery`` brings the images that are `missing`. Afterwards the ``keep`` newest releases stay.
 
     Raises:
-        NotReady: the robot cannot take it: no usable Docker, another architecture.
+        NotReady: the robot cannot take it: no usable Docker, another architecture, a port that something else has.
 
     """
     ready(facts, robot=robot)
     there = facts.fleet.stacks.get(release.stack, StackFacts())
-    home = facts.login.home
-    written = there.current == release.id and there.checksum == release.checksum(home)
-    # Whether a file that both sides have changed is still undecided, only the robot knows.
-    decides = bool(release.seeds) and request.conflict == "desktop"
-    if written and not delivery.steps and there.running and not there.journal and not decides:
+    if not delivery.steps and _runs(release, there, facts=facts, request=request):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
-    images = tuple(image.shipped_as for image in release.images)
-    seen = compose_steps.UNKNOWN if facts.fleet.legacy else there.current
-    adopted = (compose_steps.adopt(facts.fleet.legacy),) if facts.fleet.legacy else ()
+    claims.check(release, facts.fleet.claims)
+    legacy, images = facts.fleet.legacy, tuple(image.shipped_as for image in release.images)
+    seen = compose_steps.UNKNOWN if legacy else there.current
     return Plan(
         robot=robot.name,
         summary=f"release {release.id}",
         steps=(
-            *adopted,
-            compose_steps.write(release, home=home),
+            *((compose_steps.adopt(legacy),) if legacy else ()),
+            compose_steps.write(release, home=facts.login.home),
             _check(release.stack, release.id),
             *delivery.steps,
             compose_steps.swap("ship", release.stack, release.id, seen=seen, request=request),
@@ -76,6 +72,14 @@ def plan(
         forecast=delivery.forecast,
         transfer=delivery.transfer,
     )
+
+
+def _runs(release: Release, there: StackFacts, *, facts: Facts, request: Request) -> bool:
+    """Whether a robot runs a release, and nothing is to be decided or finished there."""
+    written = (there.current, there.checksum) == (release.id, release.checksum(facts.login.home))
+    # Whether a file that both sides have changed is still undecided, only the robot knows.
+    decides = bool(release.seeds) and request.conflict == "desktop"
+    return written and there.running and not there.journal and not decides
 
 
 def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Request) -> Plan:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from fleet.platforms import PLATFORM_OF_EMULATOR, PLATFORM_OF_MACHINE
 from fleet.robot.image_store import ImageStore
+
+if TYPE_CHECKING:
+    from fleet.robot.claims import Claim
 
 Sudo = Literal["root", "free", "password", "none"]
 EngineState = Literal["ready", "absent", "stopped", "forbidden"]
@@ -172,7 +175,8 @@ class Fleet:
     """What fleet has put on the robot.
 
     ``stacks`` maps each stack's name to what there is of it. ``images`` maps the name of each image that fleet sent to
-    its identity (`fleet.images.image`). ``image_store`` is empty unless the probe asked for it.
+    its identity (`fleet.images.image`). ``image_store`` and ``claims``, what all containers on the
+    robot hold, are empty unless the probe asked for them.
     ``legacy`` is the stack that the first version of fleet has shipped, where its releases are not taken over yet.
     """
 
@@ -180,6 +184,7 @@ class Fleet:
     legacy: str = ""
     images: dict[str, str] = field(default_factory=dict)
     image_store: ImageStore = field(default_factory=ImageStore)
+    claims: tuple[Claim, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from fleet import onboard
-from fleet.robot import image_store
+from fleet.robot import claims, image_store
 from fleet.robot.facts import (
     Container,
     Disk,
@@ -62,6 +62,7 @@ def parse(text: str) -> Facts:
             legacy=sections["legacy"],
             images=_images(sections["images"]),
             image_store=image_store.parse(sections),
+            claims=claims.parse(sections["claims"]),
         ),
     )
 
@@ -218,31 +219,30 @@ def _containers(lines: str, proved: frozenset[str]) -> tuple[Container, ...]:
     return tuple(filter(None, (_container(line, proved) for line in lines.splitlines())))
 
 
+_WORDS = (
+    "id",
+    "name",
+    "service",
+    "release",
+    "stack",
+    "robot",
+    "state",
+    "health",
+    "policy",
+    "started",
+    "ended",
+)
+
+
 def _container(line: str, proved: frozenset[str]) -> Container | None:
     try:
         fields = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    words = (
-        "id",
-        "name",
-        "service",
-        "release",
-        "stack",
-        "robot",
-        "state",
-        "health",
-        "policy",
-        "started",
-        "ended",
-    )
     if not isinstance(fields, dict) or not fields.get("name"):
         return None
-    text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in words}
-    numbers = (fields.get("code"), fields.get("restarts"))
-    code, restarts = (
-        number if isinstance(number, int) and abs(number) < 1 << 31 else 0 for number in numbers
-    )
+    text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in _WORDS}
+    code, restarts = map(_small, (fields.get("code"), fields.get("restarts")))
     return Container(
         name=text["name"].removeprefix("/"),
         service=text["service"],
@@ -256,6 +256,10 @@ def _container(line: str, proved: frozenset[str]) -> Container | None:
         policy=text["policy"],
         since=_time(text["started" if text["state"] == "running" else "ended"]),
     )
+
+
+def _small(number: object) -> int:
+    return number if isinstance(number, int) and abs(number) < 1 << 31 else 0
 
 
 def _time(text: str) -> float:

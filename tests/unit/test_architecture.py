@@ -33,9 +33,12 @@ PURE = {
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.chunks", "images.image", "images.layer"),
     *("ros.environment", "ros.rosmsg"),
-    *("robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
+    *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",
-    *(f"plan.{name}" for name in ("compose_steps", "containers", "delivery", "describe", "outcome", "prune")),
+    *(
+        f"plan.{name}"
+        for name in ("claims", "compose_steps", "containers", "delivery", "describe", "outcome", "prune")
+    ),
     *(f"plan.{name}" for name in ("readiness", "ship", "step")),
     *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
