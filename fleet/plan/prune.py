@@ -35,7 +35,7 @@ YOUNG = 3600
 
 def plan(*, robot: Robot, facts: Facts, stacks: Iterable[str], keep: int) -> Plan:
     """The steps that leave each of a robot's ``stacks`` with its ``keep`` newest releases."""
-    steps = tuple(step for stack in stacks for step in after(facts, stack=stack, keep=keep))
+    steps = (*(step for stack in stacks for step in _old(facts, stack=stack, keep=keep)), *_sweep(facts))
     if not steps:
         return Plan(robot=robot.name, summary=f"nothing is older than its newest {max(keep, LEAST)} releases")
     return Plan(
@@ -53,6 +53,32 @@ def _frees(steps: Iterable[Step], facts: Facts) -> str:
 
 
 def after(
+    facts: Facts, *, stack: str, keep: int, shipped: str = "", images: Iterable[str] = ()
+) -> tuple[Step, ...]:
+    """What a ship of a release of a stack removes in the end: as `plan` for this stack.
+
+    ``shipped`` became current since the probe, with its ``images``.
+    """
+    return (*_old(facts, stack=stack, keep=keep, shipped=shipped, images=images), *_sweep(facts))
+
+
+def _sweep(facts: Facts) -> tuple[Step, ...]:
+    """The step that removes what interrupted commands have left."""
+    names = facts.fleet.image_store.leftovers
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    return (
+        Step(
+            title=f"remove what interrupted commands have left ({shown})",
+            argv=("sh", "-c", onboard.text("sweep.sh"), "sweep", *names),
+            limit=300.0,
+            harmless=True,
+        ),
+    )
+
+
+def _old(
     facts: Facts, *, stack: str, keep: int, shipped: str = "", images: Iterable[str] = ()
 ) -> tuple[Step, ...]:
     """The step that removes a stack's old releases, and the images that no release of any stack needs.

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
+MOST_LEFTOVERS = 1000
+"""More are removed by the next command."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageStore:
     """The images and layers on a robot, and the tools that can rebuild layers. Sizes are in bytes.
@@ -25,6 +29,7 @@ class ImageStore:
     ``chains`` are the layers (diff IDs) of each image, lowest first. ``manifests`` are the receipts of images on the robot,
     each as the blobs of its layers. ``spool`` maps a digest to the number of its bytes that have arrived. ``pins`` maps
     each release to the images it runs. ``sizes`` are the sizes of fleet's images by name, shared layers included.
+    ``leftovers`` are files and images of interrupted commands, which `onboard/sweep.sh` may remove.
     """
 
     chains: tuple[tuple[str, ...], ...] = ()
@@ -32,6 +37,7 @@ class ImageStore:
     spool: Mapping[str, int] = field(default_factory=dict)
     pins: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     sizes: Mapping[str, int] = field(default_factory=dict)
+    leftovers: tuple[str, ...] = ()
     zstd: bool = False
     python: bool = False
 
@@ -53,6 +59,7 @@ def parse(sections: Mapping[str, str]) -> ImageStore:
         spool=_spool(sections.get("spool", "")),
         pins=_pins(sections.get("pins", "")),
         sizes=_sizes(sections.get("sizes", "")),
+        leftovers=tuple(sections.get("leftovers", "").splitlines()[:MOST_LEFTOVERS]),
         zstd="zstd" in tools,
         python="python3" in tools,
     )

@@ -242,6 +242,7 @@ def programs(tmp_path: Path) -> Path:
     image = f"sha256:{hashlib.sha256(MANIFEST.encode()).hexdigest()}"
     docker = f"""case "$*" in
         'image ls -aq'*) echo {image}; echo {image} ;;
+        'image ls'*incoming*) echo fleet/incoming:0123 ;;
         'image ls'*Size*) echo 'talker:fleet-1 241MB' ;;
         'image ls'*) echo talker:fleet-1 {image} && echo talker:fleet-0123456789ab {image} ;;
         *json*' {image}') echo '{image} ["a","b"]' ;;
@@ -278,6 +279,7 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
         spool={DIGEST: 5},
         pins={"nav/abc": ("talker:fleet-1",), "/old": ("talker:fleet-0",)},
         sizes={"talker:fleet-1": 241_000_000},
+        leftovers=("fleet/incoming:0123",),
         zstd=True,
         python=True,
     )

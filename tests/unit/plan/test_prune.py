@@ -212,3 +212,11 @@ def test_what_it_frees_is_said() -> None:
     stock = replace(seen.fleet.image_store, sizes={tag("a"): 241_000_000, tag("d"): 1})
     plan = prune.plan(robot=PI, facts=change(seen, image_store=stock), stacks=("talker",), keep=3)
     assert plan.forecast == "frees 241 MB at most: layers that other images share stay"
+
+
+def test_what_interrupted_commands_have_left_goes() -> None:
+    """It is named in --dry."""
+    left = ImageStore(leftovers=("spool/aa", "receipts/b", "spool/cc", "spool/dd"))
+    (step,) = prune.plan(robot=PI, facts=facts(image_store=left), stacks=["talker"], keep=3).steps
+    assert step.title == "remove what interrupted commands have left (spool/aa, receipts/b, spool/cc, ...)"
+    assert step.argv[-4:] == left.leftovers

@@ -1,0 +1,17 @@
+#!/bin/sh
+# Remove what interrupted commands have left in ~/.fleet and in Docker, unless a command is at work now.
+# Usage: sweep.sh NAME...   (paths in ~/.fleet, and images of fleet/incoming, as probe.sh lists them)
+set -u
+cd "$HOME/.fleet" || exit 1
+exec 9>>lock
+flock -n 9 || exit 0
+mkdir -p spool && exec 8>>spool/lock
+flock -n 8 || exit 0
+for name in "$@"; do
+    case $name in
+        *..*) ;;
+        fleet/incoming:*) docker image rm "$name" >/dev/null ;;
+        spool/* | receipts/*) rm -f "$name" ;;
+        stacks/*/releases/*.part) rm -rf "$name" ;;
+    esac
+done
