@@ -247,6 +247,8 @@ To start a stack without a desktop, log in to the robot and run `cd ~/{paths.STA
 - `data-folders` of a release names the folders that must be in `data/`, `services` the services that must run, each with
   its restart policy.
 - `runs/` is cleared of what is older than a week.
+- Outside of it there is one file: `/etc/systemd/system/fleet-finish.service`, by `fab provision`. After a power cut in the
+  middle of a swap, it goes on with the swap at boot, as the login's user.
 - `~/{steps.SCRIPT}` is Docker's convenience script while `fab provision` runs it.
 
 ## In Docker

@@ -1,19 +1,21 @@
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
+from tests.support import fault_report
 from tests.support.sshd import SSHD, Sshd, Sshds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 # Examples are checked, not timed: on a computer that does something else too, any of them may take long.
 settings.register_profile("fleet", deadline=None)
@@ -74,11 +76,19 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print what a test wants to be seen, also where it ran in another process."""
+    """Print what a test wants to be seen, also where it ran in another process; the faults as a table."""
+    faults = []
     for report in terminalreporter.getreports("passed"):
         for name, value in report.user_properties:
             if name == "shown":
                 terminalreporter.write_line(f"{report.nodeid}: {value}")
+            if name == "fault":
+                faults.append(fault_report.Fault(**json.loads(str(value))))
+    if faults:
+        terminalreporter.write_line(fault_report.table(faults))
+    failed = len(terminalreporter.getreports("failed"))
+    if page := os.environ.get("FLEET_FAULTS_PAGE"):
+        Path(page).write_text(fault_report.page(faults, failed=failed), encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

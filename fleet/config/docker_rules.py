@@ -26,7 +26,8 @@ def check(resolved: Resolved, project: Project) -> None:
         image, restart = literal(str(service.get("image") or "")), str(service.get("restart") or "no")
         if image and not is_reference(image):
             cure = "write it as repository:tag, the repository in small letters, such as talker:1.2"
-            raise _refusal(project, name, "image", f"{image!r} is not a name of an image", cure)
+            unset = f" ({resolved.warnings[0]})" if resolved.warnings else ""
+            raise _refusal(project, name, "image", f"{image!r} is not a name of an image{unset}", cure)
         if restart.partition(":")[0] not in _POLICIES:
             cure = f"write one of {', '.join(_POLICIES)}"
             raise _refusal(project, name, "restart", f"{restart!r} is not a restart policy", cure)

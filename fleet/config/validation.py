@@ -129,6 +129,8 @@ def environment_value(value: object) -> str | int | float:
 def wrong(kind: str, key: str, value: object) -> str:
     """The message for a wrong ``value`` at ``key``; ``kind`` is pydantic's name of the error."""
     if key in _NUMBERS and kind.startswith(("int_", "greater_", "less_")):
+        if isinstance(value, str) and value.isdecimal():
+            return f"{_NUMBERS[key]}: write {value} without quotes"
         return f"{_NUMBERS[key]}, not {_shown(value)}"
     if kind == "literal_error":
         hint = did_you_mean(PLATFORM_OF_MACHINE.get(str(value), str(value)), PLATFORMS)

@@ -9,9 +9,10 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
       delivered             which files of data/ came from a desktop, and their digests
       history               one line for each ship, start, stop, rollback: when, what, release, by whom, outcome
       journal               what a command is doing to the containers; there only while it does
+      proved                the containers whose health check has passed in a swap
     receipts/               the manifests of the images that were sent, for a containerd store
     spool/                  uploads that were interrupted; empty otherwise
-    runs/                   the output of what goes on without a desktop
+    runs/                   what goes on without a desktop: its script, for a power cut, and its output
     history                 what was done to the robot as a whole: `fab provision`
     lock, holder            held while containers are swapped or old releases removed; by whom
 

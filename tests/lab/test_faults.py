@@ -27,6 +27,7 @@ from tests.support.lab_project import (
     wipe,
 )
 from tests.support.link_cutter import Cut, Cutter
+from tests.support.swap_state import note
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -136,6 +137,12 @@ def test_two_hundred_cuts(
     cuts = sum(link.cuts for link in links.values())
     assert (said.code, said.status) == (0, dict.fromkeys(links, "done")), said.all
     record_property("shown", f"{cuts} cuts injected, all finished")
+    note(
+        record_property,
+        fault="cut of the link, in any step of a ship",
+        times=cuts,
+        end="the same command finished",
+    )
     assert cuts >= CUTS
     assert sent(links) - before < 1.1 * whole * len(pis) + cuts * login
     for pi in pis:

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import os
 import random
-import subprocess
 import time
 from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.lab_project import QUICK, Project, current, eventually, running, service, wipe
+from tests.support.lab_project import QUICK, Project, eventually, service, wipe
+from tests.support.swap_state import asked, containers, note, policies, power, state, whole
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from tests.lab.conftest import Lab, Pi
 
-CUTS = int(os.environ.get("FLEET_POWER_CUTS", "8"))
-"""How many; each takes about 20 s. `make test-faults` sets more."""
+TIMES = int(os.environ.get("FLEET_FAULTS", "6"))
+"""How often each fault is injected; one takes about 20 s. `make test-faults` sets more."""
 
 SEED = int(os.environ.get("FLEET_SEED", "28"))
 SERVICES = ("camera", "driver", "planner")
+
+
+@pytest.fixture
+def pi(provisioned: Lab) -> Pi:
+    """The robot that the faults happen to."""
+    wipe(provisioned.pis[0])
+    return provisioned.pis[0]
 
 
 @pytest.fixture
@@ -34,66 +42,104 @@ def project(provisioned: Lab, images: None, tmp_path: Path) -> Project:  # noqa:
     return made
 
 
-def test_power_cuts_in_a_swap(project: Project) -> None:
-    """Whether it goes forward or back: one release, all of its services, nothing half made; the next ship converges."""
-    (pi, *_) = project.lab.pis
-    wipe(pi)
-    project.colour("0")
+def one_release(project: Project, pi: Pi, where: str) -> None:
+    """One release, all of its services, nothing half made; and the next ship converges."""
+    assert eventually(lambda: whole(pi, SERVICES), within=90), (where, state(pi))
+    assert policies(pi) == {"unless-stopped"}, (where, state(pi))
     project.well("ship", "--hosts", pi.name, within=180)
-    moments = random.Random(SEED)  # noqa: S311  not for secrets
-    for number in range(1, CUTS + 1):
-        project.colour(str(number))
+    assert whole(pi, SERVICES), (where, state(pi))
+    assert eventually(lambda: len(containers(pi)) == len(SERVICES)), (where, state(pi))
+
+
+@pytest.mark.parametrize("verb", ["ship", "rollback", "restart"])
+def test_power_cuts_in_a_swap(
+    project: Project, pi: Pi, verb: str, record_property: Callable[[str, object], None]
+) -> None:
+    """At any moment of it. Whether it goes forward or back is the robot's choice."""
+    for colour in ("0", "1"):
+        project.colour(colour)
+        project.well("ship", "--hosts", pi.name, within=180)
+    moments = random.Random(f"{SEED} {verb}")  # noqa: S311  not for secrets
+    times = TIMES if verb == "ship" else max(1, TIMES // 3)
+    for number in range(1, times + 1):
+        if verb == "ship":
+            project.colour(str(number + 1))
         moment = moments.uniform(0, 5)
-        with project.start("ship", "--hosts", pi.name, "--retry-for", "0") as fab:
-            fab.await_text("start release", within=90)
+        retry = ("--retry-for", "0") if verb == "ship" else ()
+        with project.start(verb, "--hosts", pi.name, *retry) as fab:
+            fab.await_text("restart release" if verb == "restart" else "start release", within=90)
             time.sleep(moment)
             power(pi, "kill")
         power(pi, "start")
-        where = f"cut {number}, {moment:.2f} s after the start (seed {SEED})"
-        assert eventually(lambda: whole(pi), within=90), (where, state(pi))
-        assert policies(pi) == {"unless-stopped"}, (where, state(pi))
+        one_release(project, pi, f"cut {number}, {moment:.2f} s after the start (seed {SEED})")
+    note(record_property, fault=f"power cut in a {verb}", times=times, end="one release, whole, unaided")
+
+
+@pytest.mark.parametrize("end", ["Ctrl-C", "kill -9"])
+def test_a_desktop_that_goes_away_in_a_swap(
+    project: Project, pi: Pi, end: str, record_property: Callable[[str, object], None]
+) -> None:
+    """The swap is the robot's own work: it ends there, and the next command finds one release."""
+    project.colour("0")
+    project.well("ship", "--hosts", pi.name, within=180)
+    moments = random.Random(f"{SEED} {end}")  # noqa: S311  not for secrets
+    times = max(2, TIMES // 2)
+    for number in range(1, times + 1):
+        project.colour(str(number))
+        moment = moments.uniform(0, 3)
+        with project.start("ship", "--hosts", pi.name) as fab:
+            fab.await_text("start release", within=90)
+            time.sleep(moment)
+            if end == "Ctrl-C":
+                fab.ctrl_c()
+                fab.end(within=30)
+        one_release(project, pi, f"{end} {number}, {moment:.2f} s after the start (seed {SEED})")
+    note(
+        record_property,
+        fault=f"{end} of `fab ship` in a swap",
+        times=times,
+        end="one release, whole, unaided",
+    )
+
+
+def test_two_people_on_one_robot(
+    project: Project, pi: Pi, record_property: Callable[[str, object], None]
+) -> None:
+    """Any two verbs at once: in the end the robot has what one of the two wanted, whole."""
+    chance = random.Random(SEED)  # noqa: S311  not for secrets
+    for colour in ("0", "1"):
+        project.colour(colour)
         project.well("ship", "--hosts", pi.name, within=180)
-        assert whole(pi), (where, state(pi))
-        assert eventually(lambda: len(containers(pi)) == len(SERVICES)), (where, state(pi))
-
-
-def power(pi: Pi, verb: str) -> None:
-    """Take a robot's power away (kill), or give it back (start)."""
-    subprocess.run(("docker", verb, pi.container), capture_output=True, check=True)
-
-
-def whole(pi: Pi) -> bool:
-    """Whether every service runs, all of the current release, and no swap is under way."""
-    if (
-        asked(pi, "cat ~pi/.fleet/stacks/*/journal 2>/dev/null; docker version >/dev/null 2>&1 || echo no")
-        != ""
-    ):
-        return False
-    there = running(pi)
-    return sorted(there) == list(SERVICES) and {release for _, release in there.values()} == {current(pi)}
-
-
-def containers(pi: Pi) -> list[str]:
-    return asked(pi, "docker ps --all --format '{{.Names}} {{.Status}}'").splitlines()
-
-
-def policies(pi: Pi) -> set[str]:
-    form = "{{.HostConfig.RestartPolicy.Name}}"
-    return set(asked(pi, f"docker ps --quiet | xargs docker inspect --format '{form}'").split())
-
-
-def state(pi: Pi) -> str:
-    """What is there, for a person who looks for the reason."""
-    return asked(
-        pi,
-        "docker ps --all --format '{{.Names}} {{.Status}} {{.Label \"fleet.release\"}}'; ls -l ~pi/.fleet/stacks/*/;"
-        " cat ~pi/.fleet/stacks/*/journal; tail -n 5 ~pi/.fleet/stacks/*/history; systemctl status fleet-finish;"
-        " tail ~pi/.fleet/runs/*/errors",
+    verbs = ("ship", "ship", "rollback", "restart", "stop", "start", "prune")
+    for number in range(1, TIMES + 1):
+        pair = chance.choice(verbs), chance.choice(verbs)
+        where = f"pair {number}: {pair[0]} and {pair[1]} (seed {SEED})"
+        project.colour(f"{number}a")
+        with project.start(pair[0], "--hosts", pi.name) as one:
+            time.sleep(chance.uniform(0, 2))
+            project.colour(f"{number}b")
+            with project.start(pair[1], "--hosts", pi.name) as other:
+                said = one.end(within=240), other.end(within=240)
+        assert all("Traceback" not in each.all for each in said), (where, said)
+        assert asked(pi, "cat ~pi/.fleet/stacks/*/journal 2>/dev/null") == "", (where, state(pi))
+        if "stop" in pair:
+            assert whole(pi, SERVICES) or not containers_running(pi), (where, state(pi), said)
+        else:
+            assert whole(pi, SERVICES), (where, state(pi), said)
+        one_release_after(project, pi, where)
+    note(
+        record_property,
+        fault="two people, any two verbs at once",
+        times=TIMES,
+        end="one of the two wishes, whole",
     )
 
 
-def asked(pi: Pi, script: str) -> str:
-    done = subprocess.run(
-        ("docker", "exec", pi.container, "sh", "-c", script), capture_output=True, text=True, check=False
-    )
-    return done.stdout.strip()
+def containers_running(pi: Pi) -> list[str]:
+    return [line for line in containers(pi) if " Up " in line]
+
+
+def one_release_after(project: Project, pi: Pi, where: str) -> None:
+    """The next ship finds nothing that it trips over."""
+    project.well("ship", "--hosts", pi.name, within=180)
+    assert whole(pi, SERVICES), (where, state(pi))

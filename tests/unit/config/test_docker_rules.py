@@ -22,6 +22,7 @@ def check(folder: Path, text: str) -> None:
     [
         ("image: Talker", "compose.yaml:3: services.node.image: 'Talker' is not a name of an image"),
         ("image: a b", "compose.yaml:3: services.node.image: 'a b' is not a name of an image"),
+        ("image: talker:${TAG}", """'talker:' is not a name of an image (The "TAG" variable is not set."""),
         ("image: http://registry/x", "services.node.image: 'http://registry/x' is not a name of an image"),
         (
             "image: x\n    restart: sometimes",

@@ -1,0 +1,56 @@
+"""What was injected, how often, and how did it end? As lines for a terminal and as a page of docs/."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A kind of fault, how many times it was injected, and how each of them ended."""
+
+    fault: str
+    times: int
+    end: str
+
+
+def table(faults: Sequence[Fault]) -> str:
+    """A Markdown table; a terminal shows it as well."""
+    rows = [
+        ("fault", "times", "how each of them ended"),
+        *((one.fault, str(one.times), one.end) for one in faults),
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    lines = [
+        f"| {' | '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))} |"
+        for row in rows
+    ]
+    lines.insert(1, f"| {' | '.join('-' * width for width in widths)} |")
+    return "\n".join(lines)
+
+
+def page(faults: Sequence[Fault], *, failed: int) -> str:
+    """The page docs/reliability.md."""
+    verdict = (
+        f"{failed} tests of this run FAILED; their faults are not in the table."
+        if failed
+        else "No test of this run failed."
+    )
+    return f"""# Reliability
+
+What happens to robots when things go wrong. `make test-faults` injects these faults on virtual Pis (real systemd, sshd
+and Docker Engine) and writes this page; nothing in it is written by hand. {verdict}
+
+{table(faults)}
+
+A power cut kills the virtual Pi at a random moment of the swap; its files are those of the kernel, so writes that a real SD
+card would lose are not lost here. What the robot relies on is synced before it is relied on all the same.
+
+`fab provision` installs `fleet-finish.service`, by which a robot finishes an interrupted swap at boot. Without it, Docker
+starts the old release again at boot in all but the moment, less than a second for a stack of one service, between the
+removal of the old containers and the start of the new ones. The next `fab ship` mends that too.
+"""
