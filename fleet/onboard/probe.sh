@@ -105,9 +105,10 @@ if command -v docker >/dev/null; then
     docker --version 2>/dev/null
     section compose
     docker compose version --short 2>/dev/null
+    # With `.Id` Docker takes another way, on which a missing Health is an error.
     section containers
     docker ps -aq --no-trunc --filter label=fleet.release 2>/dev/null | xargs -r docker inspect --format \
-        '{"id":{{json .Id}},"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
+        '{"id":{{json .ID}},"name":{{json .Name}},"state":{{json .State.Status}},"code":{{.State.ExitCode}},"restarts":{{.RestartCount}},"health":{{with .State.Health}}{{json .Status}}{{else}}""{{end}},"policy":{{json .HostConfig.RestartPolicy.Name}},"started":{{json .State.StartedAt}},"ended":{{json .State.FinishedAt}},"service":{{json (index .Config.Labels "com.docker.compose.service")}},"release":{{json (index .Config.Labels "fleet.release")}},"stack":{{json (index .Config.Labels "fleet.stack")}},"robot":{{json (index .Config.Labels "fleet.robot")}}}' 2>/dev/null
     section images
     # Name, ID, the configuration that its receipt names, and the digest of the receipt.
     docker image ls --no-trunc --format '{{.Repository}}:{{.Tag}} {{.ID}}' 2>/dev/null | grep ':fleet-' | while read -r name id; do

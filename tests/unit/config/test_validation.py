@@ -40,7 +40,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             "robots: {pi1: {port: 65536}}",
             "robots.pi1.port: must be a whole number from 1 to 65535, not 65536",
         ),
-        ("robots: {pi1: {port: '22'}}", "robots.pi1.port: must be a whole number from 1 to 65535, not 22"),
+        (
+            "robots: {pi1: {port: '22'}}",
+            "robots.pi1.port: must be a whole number from 1 to 65535: write 22 without quotes",
+        ),
         ("robots: {pi1: {port: 2.5}}", "robots.pi1.port: must be a whole number from 1 to 65535, not 2.5"),
         ("robots: {pi1: {port: yes}}", "robots.pi1.port: must be a whole number from 1 to 65535, not true"),
         ("robots: {port: [1]}", "robots.port: must hold `key: value` lines"),
