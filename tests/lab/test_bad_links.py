@@ -158,7 +158,7 @@ def test_ctrl_c_while_bytes_flow(project: Project, pi: Pi) -> None:
 def test_two_ships_at_once(project: Project, pi: Pi) -> None:
     """The second waits for the first, whom it names, and then finds that all is there."""
     project.stack(tick=service(HEAVY))
-    with project.start("ship", "--hosts", "pi1", "--limit", "80Mbit") as first:
+    with project.start("ship", "--hosts", "pi1", "--limit", "20Mbit") as first:
         assert eventually(lambda: spooled(pi) > 1_000_000)
         with project.start("ship", "--hosts", "pi1") as second:
             second.await_text("who is shipping to this robot")

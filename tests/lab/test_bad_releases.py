@@ -125,7 +125,7 @@ def test_an_image_for_another_processor_is_refused(project: Project, lab: Lab) -
     finally:
         subprocess.run(("docker", "rmi", WRONG), capture_output=True, check=True)
     assert said.code == 2
-    assert f"{WRONG} was built for linux/amd64, and the robot runs linux/arm64" in said.err
+    assert f"{WRONG}:latest was built for linux/amd64, and the robot runs linux/arm64" in said.err
 
 
 def test_an_image_that_is_not_here_is_refused(project: Project) -> None:

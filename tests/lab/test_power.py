@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.lab_project import QUICK, Project, eventually, service, wipe
-from tests.support.swap_state import asked, containers, note, policies, power, state, whole
+from fleet.lab import lifecycle
+from tests.lab.conftest import made
+from tests.support.lab_project import LAB, QUICK, Project, eventually, service, wipe
+from tests.support.sd_card import SdCard
+from tests.support.swap_state import asked, containers, note, policies, state, whole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from tests.lab.conftest import Lab, Pi
@@ -25,17 +28,40 @@ SEED = int(os.environ.get("FLEET_SEED", "28"))
 SERVICES = ("camera", "driver", "planner")
 
 
+@pytest.fixture(scope="module")
+def card(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SdCard]:
+    """Where the robot's files are."""
+    one = SdCard(tmp_path_factory.mktemp("card"))
+    yield one
+    one.remove()
+
+
+@pytest.fixture(scope="module")
+def robot(card: SdCard, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """One virtual Pi whose files are on the card, with Docker."""
+    name, directory = f"{LAB}-power", tmp_path_factory.mktemp("power")
+    lifecycle.down(directory=directory, name=name, say=print)
+    lab = made(name, directory, count=1)
+    card.put_into(lab.pis[0])
+    assert eventually(lambda: lab.pis[0].ssh("true").returncode == 0, within=60)
+    project = Project.made(tmp_path_factory.mktemp("provision"), lab)
+    project.well("trust", "--yes")
+    project.well("provision", within=900)
+    yield lab
+    lifecycle.down(directory=directory, name=name, say=print)
+
+
 @pytest.fixture
-def pi(provisioned: Lab) -> Pi:
+def pi(robot: Lab) -> Pi:
     """The robot that the faults happen to."""
-    wipe(provisioned.pis[0])
-    return provisioned.pis[0]
+    wipe(robot.pis[0])
+    return robot.pis[0]
 
 
 @pytest.fixture
-def project(provisioned: Lab, images: None, tmp_path: Path) -> Project:  # noqa: ARG001  they must be there
+def project(robot: Lab, images: None, tmp_path: Path) -> Project:  # noqa: ARG001  they must be there
     """Three services, of which one waits for another: a swap of some seconds, in which Compose stops, removes and starts."""
-    made = Project.made(tmp_path, provisioned)
+    made = Project.made(tmp_path, robot)
     after = "depends_on: {driver: {condition: service_healthy}}"
     made.stack(camera=service(), driver=service(check="sleep 0.5", times=QUICK), planner=service(more=after))
     made.inventory()
@@ -53,7 +79,7 @@ def one_release(project: Project, pi: Pi, where: str) -> None:
 
 @pytest.mark.parametrize("verb", ["ship", "rollback", "restart"])
 def test_power_cuts_in_a_swap(
-    project: Project, pi: Pi, verb: str, record_property: Callable[[str, object], None]
+    project: Project, pi: Pi, card: SdCard, verb: str, record_property: Callable[[str, object], None]
 ) -> None:
     """At any moment of it. Whether it goes forward or back is the robot's choice."""
     for colour in ("0", "1"):
@@ -69,8 +95,7 @@ def test_power_cuts_in_a_swap(
         with project.start(verb, "--hosts", pi.name, *retry) as fab:
             fab.await_text("restart release" if verb == "restart" else "start release", within=90)
             time.sleep(moment)
-            power(pi, "kill")
-        power(pi, "start")
+            card.cut_power(pi)
         one_release(project, pi, f"cut {number}, {moment:.2f} s after the start (seed {SEED})")
     note(record_property, fault=f"power cut in a {verb}", times=times, end="one release, whole, unaided")
 

@@ -47,8 +47,8 @@ and Docker Engine) and writes this page; nothing in it is written by hand. {verd
 
 {table(faults)}
 
-A power cut kills the virtual Pi at a random moment of the swap; its files are those of the kernel, so writes that a real SD
-card would lose are not lost here. What the robot relies on is synced before it is relied on all the same.
+A power cut strikes at a random moment of the swap. The virtual Pi has its home and its Docker on an ext4 file system of its
+own, which is shut down without a flush, so everything that was not synced is lost; then the Pi is killed, and booted again.
 
 `fab provision` installs `fleet-finish.service`, by which a robot finishes an interrupted swap at boot. Without it, Docker
 starts the old release again at boot in all but the moment, less than a second for a stack of one service, between the

@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from tests.lab.conftest import Pi
 
 
-def power(pi: Pi, verb: str) -> None:
-    """Take a robot's power away (kill), or give it back (start)."""
-    subprocess.run(("docker", verb, pi.container), capture_output=True, check=True)
-
-
 def whole(pi: Pi, services: Sequence[str]) -> bool:
     """Whether these services run and no others, all of the current release, and no swap is under way."""
     journal = asked(
