@@ -20,6 +20,13 @@ GOES_ON = "the robot goes on by itself: `fab status` shows the result"
 """What a person is told who leaves a robot while it swaps its containers."""
 
 
+_PARSING = threading.Lock()
+"""Answers are read one after the other: a strange one may need much memory for a moment."""
+
+_TOLD = 32_000
+"""Characters from the end of a command's errors that are told and looked at."""
+
+
 class Link:
     """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C."""
 
@@ -59,19 +66,20 @@ class Link:
 
     def facts(self, *, images: bool = False) -> facts.Facts:
         """Return the robot's facts, read in one round trip; with ``images`` also those about its images."""
-        answer = self.session.run(probe.command(images=images), limit=30)
+        keep = probe.LONGEST_WITH_IMAGES if images else probe.LONGEST
+        answer = self.session.run(probe.command(images=images), limit=30, keep=keep)
         if f"{probe.MARK} end" not in answer.output:
-            raise NotAsPlanned(
-                f"the robot's shell did not run the probe: {answer.errors.strip() or 'no answer'}"
-            )
-        return probe.parse(answer.output)
+            reason = answer.errors.strip()[-_TOLD:] or "no answer"
+            raise NotAsPlanned(f"the robot's shell did not run the probe: {reason}")
+        with _PARSING:
+            return probe.parse(answer.output)
 
 
 def output_of(argv: Sequence[str], result: connect.Result, *, cure: str = "") -> str:
     """Return the output of a command that must succeed. Raises `CommandFailed`, which explains the error output."""
     if result.code == 0:
         return result.output
-    error_output = result.errors.strip() or result.output.strip()
+    error_output = (result.errors.strip() or result.output.strip())[-_TOLD:]
     what, known_cure = explain.explain(error_output)
     raise CommandFailed(
         what or f"`{argv[0]}` ended with code {result.code}",
