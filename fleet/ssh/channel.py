@@ -38,6 +38,12 @@ BEAT = 10.0
 KEPT = 4_000_000
 """Bytes of output that are kept, and as many of errors: answers have some thousand. A robot that prints more is not read on."""
 
+TAKES_WITHIN = 900.0
+"""Seconds in which a robot must take the next bytes of a stream: a slow card is busy for a minute, not for a quarter of an hour."""
+
+ENDS_WITHIN = 7200.0
+"""Seconds in which a command without a limit must end after the last byte it was sent: `docker load` of 10 GB takes an hour."""
+
 READS = 16
 """Reads of errors between two looks at the output and the clock: errors without end must not hide them."""
 
@@ -107,6 +113,7 @@ class ChannelPump:
         self._on_errors: OnOutput = self._err.add
         self._alive = time.monotonic()
         self._asked = False
+        self._must_move = float("inf")  # when the robot must have taken the bytes it is being sent, or ended
         self._over = threading.Event()
         self._failed: BaseException | None = None
 
@@ -135,7 +142,7 @@ class ChannelPump:
 
         Raises:
             LinkLost: the connection was lost, or the robot was silent for ``link_timeout`` seconds.
-            TimedOut: the robot did not stop the command at its limit.
+            TimedOut: the robot did not stop the command at its limit, or did not take what it was sent.
             NotAsPlanned: it printed more than is kept.
             Whatever iterating ``feed``, ``on_sent``, ``on_output`` or ``on_errors`` raises.
 
@@ -147,7 +154,8 @@ class ChannelPump:
         elif feed is None:
             threading.Thread(target=self._beat, daemon=True).start()
         else:
-            threading.Thread(target=self._send, args=(feed, on_sent), daemon=True).start()
+            ends_within = ENDS_WITHIN if limit is None else float("inf")
+            threading.Thread(target=self._send, args=(feed, on_sent, ends_within), daemon=True).start()
         try:
             self._on_errors = on_errors or self._err.add
             self._read(on_output or self._out.add, deadline=deadline)
@@ -206,7 +214,7 @@ class ChannelPump:
                 raise LinkLost("the connection was lost while the command ran", cure=AGAIN)
         return code
 
-    def _send(self, feed: Iterable[bytes], on_sent: OnSent | None) -> None:
+    def _send(self, feed: Iterable[bytes], on_sent: OnSent | None, ends_within: float) -> None:
         """Send the feed, in a thread of its own. The reading thread raises any error."""
         try:
             for chunk in feed:
@@ -220,6 +228,7 @@ class ChannelPump:
         except BaseException as problem:  # noqa: BLE001  raised by the reading thread
             self._failed = problem
         else:
+            self._must_move = time.monotonic() + ends_within
             self._end_input()
         finally:
             if close := getattr(feed, "close", None):
@@ -238,6 +247,7 @@ class ChannelPump:
     def _push(self, piece: memoryview) -> bool:
         """Send a piece, however long it takes. Returns False if the command no longer reads; its output has the reason."""
         while piece:
+            self._must_move = min(self._must_move, time.monotonic() + TAKES_WITHIN)
             try:
                 count = self._channel.send(piece)  # type: ignore[arg-type]  # takes any buffer, annotated bytes
             except TimeoutError:
@@ -248,6 +258,7 @@ class ChannelPump:
                 raise LinkLost(
                     f"the connection was lost while bytes were sent: {problem}", cure=AGAIN
                 ) from problem
+            self._must_move = float("inf")
             if not count:
                 return False
             self._alive = time.monotonic()
@@ -264,6 +275,11 @@ class ChannelPump:
             raise TimedOut(
                 "the command did not stop at its time limit, so the connection was cut",
                 cure="check whether the robot is overloaded",
+            )
+        if now > self._must_move:
+            raise TimedOut(
+                "the robot answers, but it does not go on with what it was sent, so the connection was cut",
+                cure="see what its `docker` is doing, or restart it",
             )
         if quiet > self._link_timeout:
             what = f"nothing was heard from the robot for {quiet:.0f} s while the command ran"

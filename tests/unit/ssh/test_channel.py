@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.errors import LinkLost, NotAsPlanned, TimedOut
-from fleet.ssh import connect
+from fleet.ssh import channel, connect
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,6 +139,35 @@ def test_a_command_that_takes_no_input_is_not_disturbed_by_it(session: Session) 
     script = "exec <&-; sleep 1; echo done"
     said = session.run(("sh", "-c", script), feed=(bytes(MEGABYTE) for _ in range(20)))
     assert (said.code, said.output) == (0, "done\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "command"), [("TAKES_WITHIN", "sleep 30"), ("ENDS_WITHIN", "cat; sleep 30")]
+)
+def test_a_robot_that_does_not_go_on_is_left(
+    session: Session, monkeypatch: pytest.MonkeyPatch, name: str, command: str
+) -> None:
+    """Its sshd answers, and its `docker load` never takes the next byte, or never ends."""
+    monkeypatch.setattr(channel, name, 0.5)
+    feed = (bytes(MEGABYTE) for _ in range(20))
+    started = time.monotonic()
+    with pytest.raises(TimedOut, match="does not go on with what it was sent"):
+        session.run(("sh", "-c", command), feed=feed, limit=None, on_output=lambda _: None)
+    assert time.monotonic() - started < 8
+
+
+def test_a_feed_that_waits_is_no_robot_that_does_not_go_on(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This computer packs a layer meanwhile: the robot has nothing to take."""
+    monkeypatch.setattr(channel, "TAKES_WITHIN", 0.5)
+
+    def feed() -> Iterator[bytes]:
+        yield b"one"
+        time.sleep(1.5)
+        yield b" two"
+
+    assert session.run(("cat",), feed=feed(), limit=None).output == "one two"
 
 
 def test_a_feed_that_fails_ends_the_connection(session: Session) -> None:
