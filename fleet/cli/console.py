@@ -270,7 +270,7 @@ class Bars:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(robot)
-            self._tasks[robot] = self._moving.add_task(title, total=size, robot=robot)
+            self._tasks[robot] = self._moving.add_task(terminal.plain(title), total=size, robot=robot)
 
     def bytes_sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.progress.Progress`."""

@@ -22,7 +22,7 @@ from fabric.main import Fab
 from invoke.collection import Collection
 from invoke.exceptions import Exit
 
-from fleet import __version__
+from fleet import __version__, terminal
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
         sys.stdout.flush()
     except FleetError as problem:
         cure = f"\n  cure: {problem.cure}" if problem.cure else ""
-        raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
+        raise Exit(terminal.plain(f"{problem.what}{cure}"), code=problem.exit_code) from None
     except BrokenPipeError:
         _discard_output()
         code = 0
