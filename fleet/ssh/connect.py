@@ -23,7 +23,7 @@ from paramiko.agent import AgentSSH
 from paramiko.ssh_exception import PartialAuthentication
 
 from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable
-from fleet.ssh import key_files, known_hosts, openssh_config, tcp
+from fleet.ssh import key_files, known_hosts, openssh_config, revoked_keys, tcp
 from fleet.ssh.channel import AGAIN
 from fleet.ssh.known_hosts import HostKey, KnownHosts
 from fleet.ssh.proxy_command import ProxySocket
@@ -108,12 +108,15 @@ class _Transport(paramiko.Transport):
         "aes256-ctr",
     )
 
-    def __init__(self, stream: Stream, *, prefer: tuple[str, ...], connect_timeout: float) -> None:
+    def __init__(
+        self, stream: Stream, *, prefer: tuple[str, ...], only: tuple[str, ...], connect_timeout: float
+    ) -> None:
         super().__init__(stream)
         # `start_client` has its own limit. That must pass first: it tells an sshd that is silent from one that hangs up.
         self.banner_timeout = self.auth_timeout = 2 * connect_timeout
         usual: tuple[str, ...] = paramiko.Transport._preferred_keys  # type: ignore[attr-defined]  # noqa: SLF001
-        self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in usual), *usual)))
+        allowed = [name for name in usual if name in only or not only]
+        self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in allowed), *allowed)))
 
     def _log(self, level: int, msg: object, *args: object) -> None:
         """Log nothing: errors are raised, and Paramiko would print tracebacks of a robot's protocol errors."""
@@ -166,12 +169,15 @@ class _Hops:
         close(self.chain)
 
     def reach(self, stop: Destination) -> tuple[HostKey, KnownHosts]:
-        """Connect to an sshd. Returns the host key that it proved to own, and the recorded keys."""
+        """Connect to an sshd. Returns the host key that it proved to own and nobody has revoked, and the recorded keys."""
         known = known_hosts.read((self._recorded, *stop.known_hosts))
         for attempt in range(1, ATTEMPTS + 1):
             stream = self._stream(stop)
             transport = _Transport(
-                stream, prefer=known.algorithms(stop.known_as), connect_timeout=self._connect_timeout
+                stream,
+                prefer=known.algorithms(stop.known_as),
+                only=stop.host_key_algorithms,
+                connect_timeout=self._connect_timeout,
             )
             self.chain.append(transport)
             try:
@@ -187,7 +193,9 @@ class _Hops:
                 pause = self._connect_timeout * attempt / 10
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
-                return HostKey(kind=key.get_name(), blob=key.asbytes()), known
+                offered = HostKey(kind=key.get_name(), blob=key.asbytes())
+                revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
+                return offered, known
         raise AssertionError("the last attempt returns or raises")
 
     def log_in(self, stop: Destination, *, jump: bool) -> None:
@@ -200,7 +208,8 @@ class _Hops:
                 if not (refusal := self._refusal(stop, label, load)):
                     return
                 refusals.append(refusal)
-        cure = f"ssh-copy-id {stop.login}"
+        too_open = [path for path in stop.identity_files if key_files.too_open(path)]
+        cure = f"chmod 600 {too_open[0]}" if too_open else f"ssh-copy-id {stop.login}"
         if not refusals:
             self._ask_what_it_takes(stop)
             refusals, cure = (
@@ -280,7 +289,13 @@ def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], 
             yield f"the agent's key {files.get(blob) or held[blob].comment}", partial(_same, held[blob])
     for blob, path in files.items():
         if blob not in held:
-            yield str(path), partial(paramiko.PKey.from_path, path)
+            yield str(path), partial(_private, path)
+
+
+def _private(path: Path) -> paramiko.PKey:
+    if mode := key_files.too_open(path):
+        raise PermissionError(f"its mode {mode:04o} lets others read it")
+    return paramiko.PKey.from_path(path)
 
 
 def _same(key: paramiko.PKey) -> paramiko.PKey:

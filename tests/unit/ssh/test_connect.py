@@ -54,6 +54,27 @@ def test_a_revoked_host_key_is_refused(sshds: Sshds, sshd: Sshd) -> None:
         sshds.log_in(sshd)
 
 
+def test_a_host_key_that_the_configuration_revokes_is_refused(sshds: Sshds, sshd: Sshd) -> None:
+    """It is in known_hosts as well: OpenSSH refuses it, and so do we, also to record it."""
+    (sshds.folder / "revoked").write_text(known_line("", sshd.host_keys["ed25519"]).lstrip())
+    sshds.configure(f"Host *\n  RevokedHostKeys {sshds.folder}/revoked")
+    with pytest.raises(UntrustedHostKey, match=f"is revoked by {sshds.folder}/revoked"):
+        sshds.log_in(sshd)
+    with pytest.raises(UntrustedHostKey, match=f"is revoked by {sshds.folder}/revoked"):
+        connect.offered_key(sshd.robot(), config=sshds.config)
+
+
+def test_only_host_key_algorithms_of_the_configuration_are_accepted(sshds: Sshds) -> None:
+    """A person may trust some kinds of keys no more."""
+    server = sshds.start(host_keys=("ed25519", "rsa"))
+    sshds.configure("Host *\n  HostKeyAlgorithms rsa-sha2-512")
+    assert connect.offered_key(server.robot(), config=sshds.config)[1].kind == "ssh-rsa"
+    assert sshds.log_in(server) == "in\n"
+    sshds.configure("Host *\n  HostKeyAlgorithms ecdsa-sha2-nistp256")
+    with pytest.raises(Unreachable, match="broke off the key exchange"):
+        sshds.log_in(server)
+
+
 @pytest.mark.parametrize("kind", ["rsa", "ecdsa", "ed25519"])
 def test_one_known_key_of_several_is_enough(sshds: Sshds, kind: str) -> None:
     """The server is asked for the type we know: its others would look like another machine."""
