@@ -28,14 +28,24 @@ _TOLD = 32_000
 
 
 class Link:
-    """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C."""
+    """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C.
 
-    def __init__(self, robot: Robot) -> None:
+    ``connect_timeout`` is in seconds, see `fleet.ssh.connect.CONNECT_TIMEOUT`.
+    """
+
+    def __init__(self, robot: Robot, *, connect_timeout: float = connect.CONNECT_TIMEOUT) -> None:
         self.robot = robot
+        self._connect_timeout = connect_timeout
+        self._approach = connect.Approach()
         self._session: connect.Session | None = None
         self.closed = threading.Event()
         self.goes_on = False
         """Whether what runs on the robot goes on without this link."""
+
+    @property
+    def silence(self) -> float:
+        """Seconds that the robot lets us wait for the first word of its answer; 0 otherwise."""
+        return self._approach.silence
 
     @property
     def session(self) -> connect.Session:
@@ -43,7 +53,9 @@ class Link:
         if self.closed.is_set():
             raise LinkLost("interrupted by Ctrl-C")
         if self._session is None:
-            self._session = connect.connect(self.robot)
+            self._session = connect.connect(
+                self.robot, connect_timeout=self._connect_timeout, approach=self._approach
+            )
             if self.closed.is_set():  # Ctrl-C came while it connected
                 self._session.close()
         return self._session

@@ -50,14 +50,45 @@ ATTEMPTS = 6
 """Attempts to connect: in a burst, an sshd drops some connections before its banner (MaxStartups)."""
 
 
+class Approach:
+    """How far an attempt to connect has come; another thread reads it."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._transport: paramiko.Transport | None = None
+
+    @property
+    def silence(self) -> float:
+        """Seconds that the robot has been asked for an answer and has not said a word; 0 if it has, or is not asked."""
+        since, transport = self._since, self._transport
+        if since is None or (transport and transport.remote_version):
+            return 0.0
+        return time.monotonic() - since
+
+    def ask(self) -> None:
+        """Note that the robot is asked now."""
+        self._since, self._transport = time.monotonic(), None
+
+    def listen(self, transport: paramiko.Transport) -> None:
+        """Note by which transport the robot's first words will come."""
+        self._transport = transport
+
+    def end(self) -> None:
+        """Note that nothing is waited for."""
+        self._since = None
+
+
 def connect(
     robot: Robot,
     *,
     connect_timeout: float = CONNECT_TIMEOUT,
     link_timeout: float = LINK_TIMEOUT,
     config: Path | None = None,
+    approach: Approach | None = None,
 ) -> Session:
     """Log in to a robot. ``config`` is read in place of OpenSSH's own configuration; see `CONNECT_TIMEOUT` and `LINK_TIMEOUT`.
+
+    ``approach`` is kept up to date meanwhile.
 
     Raises:
         Unreachable, UntrustedHostKey, LoginRefused: each with its cause and cure.
@@ -67,8 +98,10 @@ def connect(
     destination = openssh_config.resolve(robot, config=config)
     hops = _Hops(robot.known_hosts, connect_timeout=connect_timeout, link_timeout=link_timeout)
     try:
-        for stop in (*destination.via, destination):
-            hops.log_in(stop, jump=stop is not destination)
+        for stop in destination.via:
+            hops.log_in(stop, jump=True)
+        # Behind a command, silence may be that of a jump host with too many connections: it would get more of them.
+        hops.log_in(destination, jump=False, approach=None if destination.proxy_command else approach)
     except BaseException:
         hops.close()
         raise
@@ -168,10 +201,12 @@ class _Hops:
         """Close all connections."""
         close(self.chain)
 
-    def reach(self, stop: Destination) -> tuple[HostKey, KnownHosts]:
+    def reach(self, stop: Destination, approach: Approach | None = None) -> tuple[HostKey, KnownHosts]:
         """Connect to an sshd. Returns the host key that it proved to own and nobody has revoked, and the recorded keys."""
         known = known_hosts.read((self._recorded, *stop.known_hosts))
+        approach = approach or Approach()
         for attempt in range(1, ATTEMPTS + 1):
+            approach.ask()
             stream = self._stream(stop)
             transport = _Transport(
                 stream,
@@ -180,6 +215,7 @@ class _Hops:
                 connect_timeout=self._connect_timeout,
             )
             self.chain.append(transport)
+            approach.listen(transport)
             try:
                 transport.start_client(timeout=self._connect_timeout)
                 key = transport.get_remote_server_key()
@@ -190,17 +226,19 @@ class _Hops:
                 stream.close()
                 if silent or attempt == ATTEMPTS or not _was_dropped(stream, problem):
                     raise _unreachable(stop, stream, transport, problem, silent=silent) from problem
+                approach.end()
                 pause = self._connect_timeout * attempt / 10
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
+                approach.end()
                 offered = HostKey(kind=key.get_name(), blob=key.asbytes())
                 revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
                 return offered, known
         raise AssertionError("the last attempt returns or raises")
 
-    def log_in(self, stop: Destination, *, jump: bool) -> None:
+    def log_in(self, stop: Destination, *, jump: bool, approach: Approach | None = None) -> None:
         """Connect to an sshd, check its host key, and log in with the first key that it accepts."""
-        key, known = self.reach(stop)
+        key, known = self.reach(stop, approach)
         known_hosts.check(key, name=stop.known_as, known=known, jump=jump)
         refusals: list[str] = []
         with contextlib.closing(_Agent(stop.agent)) as agent:

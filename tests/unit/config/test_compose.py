@@ -147,7 +147,8 @@ def test_names_that_mean_something_to_tools_are_values_of_the_stack(
 ) -> None:
     """`PATH` of a node is no PATH of Compose or Docker, here or on the robot: the stack has it, and nothing else differs."""
     text = f"{ONE}    environment: [{name}]\n    command: ['${{{name}}}']\n    volumes: ['./maps:/maps']\n"
-    usual, found = services(tmp_path, text, **{name: "usual"}), services(tmp_path, text, **{name: value})
+    write(tmp_path, {"compose.yaml": text})
+    usual, found = (resolved(tmp_path, {name: one}).model["services"] for one in ("usual", value))
     assert found["a"] == {**usual["a"], "environment": {name: value}, "command": [value], "volumes": ANY}
     (mount,) = found["a"]["volumes"]
     assert mount["target"] == "/maps"
