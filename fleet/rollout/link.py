@@ -9,6 +9,7 @@ from fleet.diagnosis import explain
 from fleet.errors import CommandFailed, LinkLost, NotAsPlanned
 from fleet.robot import facts, probe
 from fleet.ssh import connect
+from fleet.ssh.approach import Approach
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +37,7 @@ class Link:
     def __init__(self, robot: Robot, *, connect_timeout: float = connect.CONNECT_TIMEOUT) -> None:
         self.robot = robot
         self._connect_timeout = connect_timeout
-        self._approach = connect.Approach()
+        self._approach = Approach()
         self._session: connect.Session | None = None
         self.closed = threading.Event()
         self.goes_on = False

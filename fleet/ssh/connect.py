@@ -24,6 +24,7 @@ from paramiko.ssh_exception import PartialAuthentication
 
 from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable
 from fleet.ssh import key_files, known_hosts, openssh_config, revoked_keys, tcp
+from fleet.ssh.approach import Approach
 from fleet.ssh.channel import AGAIN
 from fleet.ssh.known_hosts import HostKey, KnownHosts
 from fleet.ssh.proxy_command import ProxySocket
@@ -46,36 +47,15 @@ CONNECT_TIMEOUT = 10.0
 LINK_TIMEOUT = 25.0
 """Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than the time that a lost link is retried."""
 
+LONGEST_PACKET = 256 * 1024
+"""Bytes of a packet, as in OpenSSH: a device that only claims to be a robot could send one of 4 GB before it proves anything."""
+
 ATTEMPTS = 6
 """Attempts to connect: in a burst, an sshd drops some connections before its banner (MaxStartups)."""
 
 
-class Approach:
-    """How far an attempt to connect has come; another thread reads it."""
-
-    def __init__(self) -> None:
-        self._since: float | None = None
-        self._transport: paramiko.Transport | None = None
-
-    @property
-    def silence(self) -> float:
-        """Seconds that the robot has been asked for an answer and has not said a word; 0 if it has, or is not asked."""
-        since, transport = self._since, self._transport
-        if since is None or (transport and transport.remote_version):
-            return 0.0
-        return time.monotonic() - since
-
-    def ask(self) -> None:
-        """Note that the robot is asked now."""
-        self._since, self._transport = time.monotonic(), None
-
-    def listen(self, transport: paramiko.Transport) -> None:
-        """Note by which transport the robot's first words will come."""
-        self._transport = transport
-
-    def end(self) -> None:
-        """Note that nothing is waited for."""
-        self._since = None
+_TOLD = 300
+"""Characters of an error that are told: it may have a whole line of the other end's."""
 
 
 def connect(
@@ -148,8 +128,15 @@ class _Transport(paramiko.Transport):
         # `start_client` has its own limit. That must pass first: it tells an sshd that is silent from one that hangs up.
         self.banner_timeout = self.auth_timeout = 2 * connect_timeout
         usual: tuple[str, ...] = paramiko.Transport._preferred_keys  # type: ignore[attr-defined]  # noqa: SLF001
+        self._read_all = self.packetizer.read_all
+        self.packetizer.read_all = self._read_some  # type: ignore[method-assign,assignment]
         allowed = [name for name in usual if name in only or not only]
         self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in allowed), *allowed)))
+
+    def _read_some(self, count: int, check_rekey: bool = False) -> bytes:
+        if count > LONGEST_PACKET:
+            raise paramiko.SSHException(f"it announced a packet of {count} bytes")
+        return self._read_all(count, check_rekey)
 
     def _log(self, level: int, msg: object, *args: object) -> None:
         """Log nothing: errors are raised, and Paramiko would print tracebacks of a robot's protocol errors."""
@@ -370,7 +357,7 @@ def _unreachable(
         what = (
             "stopped answering during the key exchange"
             if silent
-            else f"broke off the key exchange: {str(problem) or 'it closed the connection'}"
+            else f"broke off the key exchange: {str(problem)[:_TOLD] or 'it closed the connection'}"
         )
         return Unreachable(f"{where} {what}", cure="the robot may be overloaded, or its OpenSSH very old")
     if silent:
@@ -379,4 +366,6 @@ def _unreachable(
             cure="the robot may be overloaded or frozen: restart it",
         )
     cure = "check the port; a busy sshd (MaxStartups), or one that blocks this address, does the same"
-    return Unreachable(f"{where} closed the connection, or is not an SSH server: {problem}", cure=cure)
+    return Unreachable(
+        f"{where} closed the connection, or is not an SSH server: {str(problem)[:_TOLD]}", cure=cure
+    )

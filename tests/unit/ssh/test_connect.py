@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import getpass
 import os
+import resource
 import shutil
 import signal
 import socket
@@ -77,26 +78,37 @@ def test_only_host_key_algorithms_of_the_configuration_are_accepted(sshds: Sshds
         sshds.log_in(server)
 
 
-def test_how_far_an_approach_has_come(sshds: Sshds, sshd: Sshd) -> None:
-    """While nobody says a word the silence grows; a robot that has answered is not silent, however long it works."""
-    approach = connect.Approach()
-    assert approach.silence == 0
-    with socket.create_server(("127.0.0.1", 0)) as hole:
-        silent = sshd.robot().model_copy(update={"port": hole.getsockname()[1]})
+@pytest.mark.parametrize(
+    ("first", "then", "why"),
+    [
+        (b"", b"x" * 65536, "sends no SSH banner"),
+        (b"x" * 100_000 + b"\n", b"x\n" * 30_000, "is not an SSH server: Indecipherable"),
+        (b"SSH-2.0-Liar\r\n\x7f\xff\xff\xfc", b"\x14" * 65536, "announced a packet of 2147483"),
+    ],
+    ids=["no banner", "many banners", "a packet of 2 GB"],
+)
+def test_a_device_that_is_no_robot_cannot_fill_our_memory(
+    sshds: Sshds, sshd: Sshd, first: bytes, then: bytes, why: str
+) -> None:
+    """It has proved nothing yet, and sends without end."""
 
-        def knock() -> None:
-            with contextlib.suppress(Unreachable):
-                connect.connect(silent, connect_timeout=1.5, config=sshds.config, approach=approach)
+    def flood(listener: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                caller = listener.accept()[0]
+                with caller, contextlib.suppress(OSError):
+                    caller.sendall(first)
+                    while True:
+                        caller.sendall(then)
 
-        trial = threading.Thread(target=knock)
-        trial.start()
-        end = time.monotonic() + 10
-        while not 0.3 < approach.silence < 10:
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        trial.join()
-    with connect.connect(sshd.robot(), config=sshds.config, approach=approach):
-        assert approach.silence == 0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=flood, args=(listener,), daemon=True).start()
+        liar = sshd.robot().model_copy(update={"port": listener.getsockname()[1]})
+        with pytest.raises(Unreachable, match=why) as refused:
+            connect.connect(liar, connect_timeout=3, config=sshds.config)
+    assert len(refused.value.what) < 600
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ecdsa", "ed25519"])
