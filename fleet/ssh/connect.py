@@ -22,7 +22,7 @@ import paramiko
 from paramiko.agent import AgentSSH
 from paramiko.ssh_exception import PartialAuthentication
 
-from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable
+from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable, UntrustedHostKey
 from fleet.ssh import key_files, known_hosts, openssh_config, revoked_keys, tcp
 from fleet.ssh.approach import Approach
 from fleet.ssh.channel import AGAIN
@@ -218,6 +218,7 @@ class _Hops:
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
                 approach.end()
+                _refuse_short(key, stop)
                 offered = HostKey(kind=key.get_name(), blob=key.asbytes())
                 revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
                 return offered, known
@@ -314,13 +315,26 @@ def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], 
             yield f"the agent's key {files.get(blob) or held[blob].comment}", partial(_same, held[blob])
     for blob, path in files.items():
         if blob not in held:
-            yield str(path), partial(_private, path)
+            yield str(path), partial(_private, path, stop.rsa_bits)
 
 
-def _private(path: Path) -> paramiko.PKey:
+def _refuse_short(key: paramiko.PKey, stop: Destination) -> None:
+    if _is_short(key, stop.rsa_bits):
+        what = f"the host key of {stop.known_as} has {key.get_bits()} bits, and RequiredRSASize is {stop.rsa_bits}"
+        raise UntrustedHostKey(what, cure="make new host keys on it with `ssh-keygen -A`")
+
+
+def _is_short(key: paramiko.PKey, least: int) -> bool:
+    return key.get_name() == "ssh-rsa" and key.get_bits() < least
+
+
+def _private(path: Path, rsa_bits: int) -> paramiko.PKey:
     if mode := key_files.too_open(path):
         raise PermissionError(f"its mode {mode:04o} lets others read it")
-    return paramiko.PKey.from_path(path)
+    key: paramiko.PKey = paramiko.PKey.from_path(path)
+    if _is_short(key, rsa_bits):
+        raise ValueError(f"it has {key.get_bits()} bits, and RequiredRSASize is {rsa_bits}")
+    return key
 
 
 def _same(key: paramiko.PKey) -> paramiko.PKey:

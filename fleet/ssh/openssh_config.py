@@ -38,7 +38,8 @@ class Destination:
     ``known_as`` is the name that ``known_hosts`` files keep it under: HostKeyAlias where there is one. ``agent`` is the
     socket of the agent to ask (empty: none); of its keys only those of ``identity_files`` with ``only_named``. ``via``
     are the hosts of ProxyJump, in the order they are reached. ``known_hosts`` are the user's and the system's files,
-    ``revoked`` those of RevokedHostKeys. ``host_key_algorithms`` are the only ones to accept (empty: all).
+    ``revoked`` those of RevokedHostKeys. ``host_key_algorithms`` are the only ones to accept (empty: all), ``rsa_bits`` the
+    least that an RSA key must have.
     """
 
     host: str
@@ -53,6 +54,7 @@ class Destination:
     known_hosts: tuple[Path, ...] = ()
     revoked: tuple[Path, ...] = ()
     host_key_algorithms: tuple[str, ...] = ()
+    rsa_bits: int = 0
 
     @property
     def login(self) -> str:
@@ -113,6 +115,7 @@ def parse(text: str, *, address: str) -> Destination:
             Path(_expanded(name, tokens)) for name in settings.get("revokedhostkeys", []) if name != "none"
         ),
         host_key_algorithms=tuple(filter(None, one.get("hostkeyalgorithms", "").split(","))),
+        rsa_bits=int(one.get("requiredrsasize", 0)),
     )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import LinkLost, Unreachable, UntrustedHostKey
+from fleet.errors import LinkLost, LoginRefused, Unreachable, UntrustedHostKey
 from fleet.ssh import connect
 from tests.support.sshd import known_line, make_key, public_key
 
@@ -76,6 +76,29 @@ def test_only_host_key_algorithms_of_the_configuration_are_accepted(sshds: Sshds
     sshds.configure("Host *\n  HostKeyAlgorithms ecdsa-sha2-nistp256")
     with pytest.raises(Unreachable, match="broke off the key exchange"):
         sshds.log_in(server)
+
+
+@pytest.mark.skipif(
+    subprocess.run(
+        ("ssh", "-G", "-o", "RequiredRSASize=3072", "pi1"), capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="OpenSSH has RequiredRSASize from 9.1 on",
+)
+def test_rsa_keys_that_are_too_short_for_the_configuration_are_refused(sshds: Sshds) -> None:
+    """The robot's and one's own; ssh-keygen makes 3072 bits."""
+    mine = make_key(sshds.folder / "mine", kind="rsa")
+    server = sshds.start(host_keys=("rsa",), options=(f"AuthorizedKeysFile {mine}.pub",))
+    sshds.configure("Host *\n  RequiredRSASize 3072")
+    assert sshds.log_in(server, identity=mine) == "in\n"
+    sshds.configure("Host *\n  RequiredRSASize 4096")
+    with pytest.raises(UntrustedHostKey, match="has 3072 bits, and RequiredRSASize is 4096"):
+        sshds.log_in(server, identity=mine)
+    other = sshds.start("other", options=(f"AuthorizedKeysFile {mine}.pub",))
+    with pytest.raises(
+        LoginRefused, match=r"mine cannot be used .it has 3072 bits, and RequiredRSASize is 4096"
+    ):
+        sshds.log_in(other, identity=mine)
 
 
 @pytest.mark.parametrize(
