@@ -218,10 +218,7 @@ class _Hops:
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
                 approach.end()
-                _refuse_short(key, stop)
-                offered = HostKey(kind=key.get_name(), blob=key.asbytes())
-                revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
-                return offered, known
+                return _acceptable(key, stop), known
         raise AssertionError("the last attempt returns or raises")
 
     def log_in(self, stop: Destination, *, jump: bool, approach: Approach | None = None) -> None:
@@ -318,10 +315,14 @@ def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], 
             yield str(path), partial(_private, path, stop.rsa_bits)
 
 
-def _refuse_short(key: paramiko.PKey, stop: Destination) -> None:
+def _acceptable(key: paramiko.PKey, stop: Destination) -> HostKey:
+    """Return a host key that OpenSSH's configuration does not refuse, whoever trusts it."""
     if _is_short(key, stop.rsa_bits):
         what = f"the host key of {stop.known_as} has {key.get_bits()} bits, and RequiredRSASize is {stop.rsa_bits}"
         raise UntrustedHostKey(what, cure="make new host keys on it with `ssh-keygen -A`")
+    offered = HostKey(kind=key.get_name(), blob=key.asbytes())
+    revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
+    return offered
 
 
 def _is_short(key: paramiko.PKey, least: int) -> bool:
