@@ -56,6 +56,9 @@ _COLOURS = ("cyan", "magenta", "green", "yellow", "blue", "bright_red", "bright_
 _WIDEST = 60
 """Columns of a cell that later rows are aligned with."""
 
+_LONGEST_CELL = 2000
+"""Characters of a cell that are shown."""
+
 _COLUMNS_OF_A_FILE = 10_000
 """Width of lines that do not go to a terminal: no table is folded there."""
 
@@ -329,8 +332,13 @@ def _table(
     for column, width in zip(columns, widths or [0] * len(columns), strict=True):
         table.add_column(column, overflow="fold", min_width=max(width, len(column)))
     for row in rows:
-        table.add_row(*(_text(text, style) for text, style in row))
+        table.add_row(*(_text(_cut(text), style) for text, style in row))
     return table
+
+
+def _cut(text: str) -> str:
+    """The text of a cell: one robot must not fill the screen of all."""
+    return text if len(text) <= _LONGEST_CELL else f"{text[:_LONGEST_CELL]}…"
 
 
 def _text(text: str, style: str = "") -> Text:
