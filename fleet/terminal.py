@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 
-# ECMA-48 sequences, whole where they are; then single control characters, line separators and changes of direction.
+UNSAFE = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u206f\ud800-\udfff"
+"""In a class of a regular expression: control characters but tab and line end, line separators, changes of direction, halves of letters."""
+
+# ECMA-48 sequences, whole where they are; then single characters.
 _CONTROL = re.compile(
     r"(?:\x1b[\]PX^_]|[\x9d\x90\x98\x9e\x9f])[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c)?"
     r"|(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"
     r"|\x1b[ -/]*[0-~]"
-    r"|[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+    rf"|[{UNSAFE}]"
 )
 _COLOUR = re.compile(r"\x1b\[[0-9;]{0,40}m")
 

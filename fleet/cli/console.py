@@ -10,6 +10,7 @@ import threading
 from collections import Counter
 from typing import TYPE_CHECKING, Self
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.live import Live
 from rich.progress import (
@@ -28,6 +29,7 @@ from rich.text import Text
 
 from fleet import terminal
 from fleet.cli import json_output
+from fleet.cli.growing_table import GrowingTable
 from fleet.plan.describe import details, headline, lines
 from fleet.plan.outcome import exit_code
 from fleet.units import human_bytes, human_seconds
@@ -51,6 +53,12 @@ _MARKS = {
     "skipped": "yellow",
 }
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue", "bright_red", "bright_cyan", "bright_magenta")
+_WIDEST = 60
+"""Columns of a cell that later rows are aligned with."""
+
+_LONGEST_CELL = 2000
+"""Characters of a cell that are shown."""
+
 _COLUMNS_OF_A_FILE = 10_000
 """Width of lines that do not go to a terminal: no table is folded there."""
 
@@ -142,6 +150,22 @@ class Screen:
     def live(self, columns: Sequence[str], rows: Callable[[], Sequence[Sequence[tuple[str, str]]]]) -> Live:
         """Return a table that is drawn again every half second until its ``with`` block ends."""
         return Live(get_renderable=lambda: _table(columns, rows()), console=self.out, refresh_per_second=2)
+
+    def growing(
+        self, columns: Sequence[str], rows: Callable[[], Sequence[Sequence[tuple[str, str]]]]
+    ) -> Live | GrowingTable:
+        """Return a table whose rows appear as ``rows`` has more of them at its end, until its ``with`` block ends."""
+        if self.out.is_terminal:
+            return self.live(columns, rows)
+        widths = [0] * len(columns)
+
+        def show(more: Sequence[Sequence[tuple[str, str]]], first: bool) -> None:
+            for place, width in enumerate(widths):
+                cells = [min(cell_len(terminal.plain(row[place][0])), _WIDEST) for row in more]
+                widths[place] = max(width, *cells, 0)
+            self.out.print(_table(columns, more, widths=widths, headings=first))
+
+        return GrowingTable(rows, show)
 
     def records(self, records: Mapping[str, Mapping[str, object]]) -> None:
         """Print each name with its values below it; nested values have dotted keys."""
@@ -270,7 +294,7 @@ class Bars:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(robot)
-            self._tasks[robot] = self._moving.add_task(title, total=size, robot=robot)
+            self._tasks[robot] = self._moving.add_task(terminal.plain(title), total=size, robot=robot)
 
     def bytes_sent(self, robot: str, count: int) -> None:
         """See `fleet.rollout.progress.Progress`."""
@@ -296,13 +320,25 @@ class Bars:
 AnyProgress = Lines | Bars
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column, overflow="fold")
+def _table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[tuple[str, str]]],
+    *,
+    widths: Sequence[int] = (),
+    headings: bool = True,
+) -> Table:
+    """A table; ``widths`` are the least ones of its columns, so that a part of a table is aligned with what stands above."""
+    table = Table(box=None, pad_edge=False, header_style="bold", show_header=headings)
+    for column, width in zip(columns, widths or [0] * len(columns), strict=True):
+        table.add_column(column, overflow="fold", min_width=max(width, len(column)))
     for row in rows:
-        table.add_row(*(_text(text, style) for text, style in row))
+        table.add_row(*(_text(_cut(text), style) for text, style in row))
     return table
+
+
+def _cut(text: str) -> str:
+    """The text of a cell: one robot must not fill the screen of all."""
+    return text if len(text) <= _LONGEST_CELL else f"{text[:_LONGEST_CELL]}…"
 
 
 def _text(text: str, style: str = "") -> Text:

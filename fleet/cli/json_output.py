@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
+
+from fleet.terminal import UNSAFE
+
+_UNSAFE = re.compile(f"[{UNSAFE}]")
 
 
 def text(value: object) -> str:
-    """Return indented JSON. Dataclasses become objects and paths text. Bytes may hold secrets: only their number is shown."""
-    return json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    r"""Return indented JSON. Dataclasses become objects and paths text. Bytes may hold secrets: only their number is shown.
+
+    What could steer a terminal is written as ``\u009b``: programs read the same, and people may look at it.
+    """
+    written = json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    return _UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", written)
 
 
 def _plain(value: object) -> object:

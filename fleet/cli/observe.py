@@ -22,6 +22,7 @@ from fleet.ssh import openssh_config
 
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
+    from fleet.errors import FleetError
     from fleet.robot.facts import Facts
 
 
@@ -44,20 +45,25 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
 def status(hosts: str = "all", watch: bool = False, json: bool = False, inventory: str = "") -> int:
     """Show release, health, Docker, disk, temperature.
 
-    The exit code is 0 if every robot answers and all its containers are healthy.
+    Robots are shown as they answer, and those that do not answer at the end. The exit code is 0 if every robot answers
+    and all its containers are healthy.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    seen = observe(robots, progress=NoProgress())
-    if json:
-        screen.json({name: states.record(what) for name, what in seen.items()})
-    elif watch:
-        with screen.live(
-            states.COLUMNS, lambda: [row for name, what in seen.items() for row in states.rows(name, what)]
-        ):
+    seen: dict[str, Facts | FleetError] = {}
+    names = [robot.name for robot in robots]
+    if watch and not json:
+        with screen.live(states.COLUMNS, lambda: states.table(names, seen)):
             keep_observing(robots, seen, every=2.0, progress=NoProgress())
+    elif json:
+        observe(robots, progress=NoProgress(), seen=seen)
+        screen.json({name: states.record(seen[name]) for name in names})
     else:
-        screen.table(states.COLUMNS, [row for name, what in seen.items() for row in states.rows(name, what)])
-    same = whose.same_computers(seen)
+        arrivals = states.Arrivals(names, seen)
+        with screen.growing(states.COLUMNS, arrivals.rows):
+            observe(robots, progress=NoProgress(), seen=seen)
+            arrivals.over = True
+        screen.say(states.total(seen))
+    same = whose.same_computers({name: seen[name] for name in names if name in seen})
     for one, other in same:
         screen.say(f"{one} and {other} are the same computer: correct an address in the inventory")
     return 0 if watch or (not same and all(states.good(what) for what in seen.values())) else 1

@@ -52,6 +52,48 @@ def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
     ]
 
 
+def table(names: Sequence[str], seen: Mapping[str, Facts | FleetError]) -> list[Sequence[Cell]]:
+    """The rows of all robots that were seen, in the order of ``names``."""
+    return [row for name in names if name in seen for row in rows(name, seen[name])]
+
+
+class Arrivals:
+    """The rows of robots in the order in which they answer; those that do not answer come last.
+
+    ``seen`` is filled by other threads. Set ``over`` when nobody answers any more.
+    """
+
+    def __init__(self, names: Sequence[str], seen: Mapping[str, Facts | FleetError]) -> None:
+        self._names = names
+        self._seen = seen
+        self._arrived: list[str] = []
+        self.over = False
+
+    def rows(self) -> list[Sequence[Cell]]:
+        """The rows so far; later ones follow at the end."""
+        last = (False, True) if self.over else (False,)
+        for away in last:
+            self._arrived += [
+                name
+                for name in self._names
+                if name in self._seen
+                and name not in self._arrived
+                and isinstance(self._seen[name], FleetError) == away
+            ]
+        return table(self._arrived, self._seen)
+
+
+def total(seen: Mapping[str, Facts | FleetError]) -> str:
+    """How many robots there are, and how they are: ``3 robots: 1 well, 1 not well, 1 not reachable``."""
+    counted = {
+        "well": sum(good(what) for what in seen.values()),
+        "not well": sum(not good(what) and not isinstance(what, FleetError) for what in seen.values()),
+        "not reachable": sum(isinstance(what, FleetError) for what in seen.values()),
+    }
+    parts = ", ".join(f"{count} {words}" for words, count in counted.items() if count)
+    return f"{len(seen)} {'robot' if len(seen) == 1 else 'robots'}: {parts}"
+
+
 def good(seen: Facts | FleetError) -> bool:
     """Whether the robot answers and all it was sent runs well."""
     if isinstance(seen, FleetError):

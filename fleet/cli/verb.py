@@ -22,8 +22,9 @@ from fabric.main import Fab
 from invoke.collection import Collection
 from invoke.exceptions import Exit
 
-from fleet import __version__
+from fleet import __version__, terminal
 from fleet.errors import FleetError
+from fleet.rollout import open_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Mapping
@@ -106,13 +107,21 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
         code = body(**options)
         sys.stdout.flush()
     except FleetError as problem:
-        cure = f"\n  cure: {problem.cure}" if problem.cure else ""
-        raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
+        raise _told(problem) from None
     except BrokenPipeError:
         _discard_output()
         code = 0
+    except OSError as problem:
+        if not (refusal := open_files.refusal(problem)):
+            raise
+        raise _told(refusal) from None
     if code:
         raise Exit(code=code)
+
+
+def _told(problem: FleetError) -> Exit:
+    cure = f"\n  cure: {problem.cure}" if problem.cure else ""
+    return Exit(terminal.plain(f"{problem.what}{cure}"), code=problem.exit_code)
 
 
 def _discard_output() -> None:

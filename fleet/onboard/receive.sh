@@ -73,10 +73,13 @@ each image check_image "$@"
     exit 0
 }
 
+# A folder in the place of an upload has a size, and a pipe is waited for.
+is_file() { [ -f "$1" ] && [ ! -L "$1" ]; }
 size_of() { stat -c %s "$1" 2>/dev/null || echo 0; }
 receive() {
     while :; do
         note receive
+        is_file "$2" || rm -rf "$2"
         have=$(size_of "$2")
         [ "$have" -le "$3" ] || {
             rm -f "$2"

@@ -55,7 +55,7 @@ def _read(text: str) -> dict[str, Any]:
     cure = f"fix the file on the robot (`sudo nano {PATH}`), or remove it"
     try:
         settings = json.loads(text) if text.strip() else {}
-    except ValueError as problem:
+    except (ValueError, RecursionError) as problem:
         raise NotReady(f"{PATH} is not JSON: {problem}", cure=cure) from None
     if not isinstance(settings, dict) or not isinstance(settings.get("log-opts", {}), dict):
         raise NotReady(f"{PATH} does not have the form that Docker reads", cure=cure)

@@ -5,12 +5,18 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from fleet.errors import NotAsPlanned
+
 _PORTS = re.compile(
     r"(?:(?P<ip>[0-9a-fA-F.:]+|\[[^\]]+\]):)?(?P<first>[0-9]{1,5})(?:-(?P<last>[0-9]{1,5}))?->[0-9-]+/(?P<protocol>\w+)"
 )
 
 ANY = ("0.0.0.0", "::", "[::]", "")  # noqa: S104  read, not bound
 """Addresses that mean all of a computer's addresses."""
+
+
+MOST_PORTS = 4 * 65_536
+"""Ports of all containers: TCP and UDP, IPv4 and IPv6. A robot could name as many in each line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,20 +43,34 @@ class Claim:
 
 
 def parse(lines: str) -> tuple[Claim, ...]:
-    """Read lines of ``docker ps``: ``NAME|PROJECT|PORTS``; others are skipped."""
+    """Read lines of ``docker ps``: ``NAME|PROJECT|PORTS``; others are skipped.
+
+    Raises:
+        NotAsPlanned: they have more ports than `MOST_PORTS`.
+
+    """
     rows = (line.split("|") for line in lines.splitlines())
-    return tuple(
-        Claim(name=row[0], project=row[1], ports=_ports(row[2])) for row in rows if len(row) == 3 and row[0]
-    )
+    found: list[Claim] = []
+    left = MOST_PORTS
+    for row in rows:
+        if len(row) == 3 and row[0]:
+            found.append(Claim(name=row[0], project=row[1], ports=_ports(row[2], most=left)))
+            left -= len(found[-1].ports)
+    return tuple(found)
 
 
-def _ports(text: str) -> tuple[Port, ...]:
+def _ports(text: str, *, most: int) -> tuple[Port, ...]:
     """``0.0.0.0:8080-8082->80-82/tcp, :::8080-8082->80-82/tcp``: those that are published."""
     ports: dict[Port, None] = {}
     for found in _PORTS.finditer(text):
-        first, last = int(found["first"]), int(found["last"] or found["first"])
+        first, last = int(found["first"]), min(int(found["last"] or found["first"]), 65535)
+        if len(ports) + last - first >= most:
+            raise NotAsPlanned(
+                "the robot's answer has more published ports than a computer has",
+                cure="log in and see what its `docker ps` prints",
+            )
         address = "" if (found["ip"] or "") in ANY else found["ip"]
-        for number in range(first, min(last, 65535) + 1):
+        for number in range(first, last + 1):
             port = Port(number=number, protocol=found["protocol"], address=address)
             ports[port] = None
     return tuple(ports)

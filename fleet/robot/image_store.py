@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 MOST_LEFTOVERS = 1000
 """More are removed by the next command."""
 
+_DIGEST = re.compile("[0-9A-Za-z:._-]{1,128}").fullmatch  # of any algorithm; it becomes a part of a path
+_MEDIA_TYPE = re.compile("[A-Za-z0-9][A-Za-z0-9!#$&^_.+/-]{0,254}").fullmatch
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImageStore:
@@ -70,7 +73,9 @@ def _layers(listing: str) -> tuple[str, ...]:
         layers = json.loads(listing)
     except (ValueError, RecursionError):
         return ()
-    return tuple(map(str, layers)) if isinstance(layers, list) else ()
+    if not isinstance(layers, list) or not all(isinstance(one, str) and _DIGEST(one) for one in layers):
+        return ()
+    return tuple(layers)
 
 
 def _blobs(manifest: str, diff_ids: tuple[str, ...]) -> tuple[Blob, ...]:
@@ -81,15 +86,26 @@ def _blobs(manifest: str, diff_ids: tuple[str, ...]) -> tuple[Blob, ...]:
             Blob(
                 diff_id=diff_id,
                 digest=layer["digest"],
-                size=int(layer["size"]),
+                size=layer["size"],
                 media_type=layer["mediaType"],
             )
             for diff_id, layer in zip(diff_ids, layers, strict=True)
         )
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ()
-    words = (word for blob in blobs for word in (blob.digest, blob.media_type))
-    return blobs if all(isinstance(word, str) for word in words) else ()
+    return blobs if all(map(_is_sound, blobs)) else ()
+
+
+def _is_sound(blob: Blob) -> bool:
+    """Whether a robot's words about a blob have the form that the field has: they become an image's manifest again."""
+    return (
+        isinstance(blob.digest, str)
+        and _DIGEST(blob.digest) is not None
+        and isinstance(blob.media_type, str)
+        and _MEDIA_TYPE(blob.media_type) is not None
+        and type(blob.size) is int
+        and 0 <= blob.size < 1 << 50
+    )
 
 
 def _spool(listing: str) -> dict[str, int]:

@@ -13,6 +13,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from fleet import onboard
+from fleet.errors import NotAsPlanned
 from fleet.robot import claims, image_store
 from fleet.robot.facts import (
     Container,
@@ -34,6 +35,34 @@ if TYPE_CHECKING:
 
 MARK = "=fleet="
 
+LONGEST = 1_000_000
+"""Bytes of a robot's answer that are read. Ten stacks with a long history have 300 kB."""
+
+LONGEST_WITH_IMAGES = 4_000_000
+"""The same with the robot's images: a hundred of twenty layers each have 400 kB."""
+
+_MOST_STACKS, _MOST_CONTAINERS, _MOST_LINES = 200, 2000, 50_000
+"""More of them are no robot's: they would fill the memory of this computer."""
+
+_LINES = {
+    "daemon",
+    "stacks",
+    "containers",
+    "images",
+    "claims",
+    "layers",
+    "sizes",
+    "receipts",
+    "spool",
+    "pins",
+}
+"""Sections with many lines; all others have a few words."""
+
+_SECTION = 10_000
+"""Characters of such a section that are read."""
+
+_VERSION = re.compile(r"[0-9][0-9A-Za-z.+~:_-]{0,63}")
+
 
 def command(*, images: bool = False) -> tuple[str, ...]:
     """The argv that probes a robot; with ``images`` also its layers and transfers, which takes longer."""
@@ -41,13 +70,22 @@ def command(*, images: bool = False) -> tuple[str, ...]:
 
 
 def parse(text: str) -> Facts:
-    """Read the probe's answer. A missing or empty section leaves its facts at their defaults."""
+    """Read the probe's answer. A missing or empty section leaves its facts at their defaults.
+
+    Raises:
+        NotAsPlanned: it has more in it than any robot.
+
+    """
+    _at_most(_MOST_LINES, text.count("\n"), "lines")
     noise, *parts = text.split(f"\n{MARK} ")
-    bodies = {name: body.strip("\n") for name, _, body in (part.partition("\n") for part in parts)}
+    split = (part.partition("\n") for part in parts)
+    bodies = {
+        name: body.strip("\n") if name in _LINES else body.strip("\n")[:_SECTION] for name, _, body in split
+    }
     sections = defaultdict(str, bodies)
     return Facts(
         host=_host(sections),
-        login=_login(sections, noise=noise.strip()),
+        login=_login(sections, noise=noise.strip()[:_SECTION]),
         disk=_disks(sections["disk"], sections["home disk"]),
         docker=_docker(sections, there="docker" in bodies),
         packages=Packages(
@@ -65,6 +103,14 @@ def parse(text: str) -> Facts:
             claims=claims.parse(sections["claims"]),
         ),
     )
+
+
+def _at_most(most: int, count: int, what: str) -> None:
+    if count > most:
+        raise NotAsPlanned(
+            f"the robot's answer has {count} {what}, which cannot be",
+            cure="log in and see what its shell and its `docker` print",
+        )
 
 
 def _host(sections: Mapping[str, str]) -> Host:
@@ -115,7 +161,7 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
 def _engine(answer: str) -> tuple[EngineState, str]:
     """The engine's state and version, from the output of ``docker version``."""
     last = "".join(answer.splitlines()[-1:])
-    if last[:1].isdigit():  # warnings come before it, such as that of a forbidden ~/.docker/config.json
+    if _VERSION.fullmatch(last):  # warnings come before it, such as that of a forbidden ~/.docker/config.json
         return "ready", last
     return ("forbidden" if "permission denied" in answer.lower() else "stopped"), ""
 
@@ -128,7 +174,8 @@ def _store(line: str) -> tuple[str, str, str]:
 
 def _client(line: str) -> str:
     """``Docker version 26.1.5+dfsg1, build a72d7cd`` -> ``26.1.5+dfsg1``."""
-    return line.removeprefix("Docker version ").partition(",")[0] if line.startswith("Docker version") else ""
+    version = line.removeprefix("Docker version ").partition(",")[0]
+    return version if _VERSION.fullmatch(version) else ""
 
 
 def _finish_unit(answer: str) -> str:
@@ -145,7 +192,7 @@ def _finish_unit(answer: str) -> str:
 def _compose(answer: str) -> str:
     """The plugin's version; "" if ``docker`` printed its own help, as it does without the plugin."""
     version = answer.removeprefix("v")
-    return version if version[:1].isdigit() else ""
+    return version if _VERSION.fullmatch(version) else ""
 
 
 def _sudo(word: str) -> Sudo:
@@ -184,6 +231,7 @@ def _stacks(text: str, containers: tuple[Container, ...]) -> dict[str, StackFact
     blocks = (block.partition("\n") for block in f"\n{text}".split("\nstack ")[1:])
     lines = {name: body.splitlines() for name, _, body in blocks}
     names = (*lines, *sorted({one.stack for one in containers if one.stack} - lines.keys()))
+    _at_most(_MOST_STACKS, len(names), "stacks")
     return {
         name: _stack(lines.get(name, []), [one for one in containers if one.stack == name]) for name in names
     }
@@ -216,7 +264,8 @@ def _proved(stacks: str) -> frozenset[str]:
 
 def _containers(lines: str, proved: frozenset[str]) -> tuple[Container, ...]:
     """One container for each line of JSON; lines that are not JSON are Docker's warnings."""
-    return tuple(filter(None, (_container(line, proved) for line in lines.splitlines())))
+    _at_most(_MOST_CONTAINERS, lines.count("\n"), "lines about containers")
+    return tuple(filter(None, (_container(line, proved) for line in lines.split("\n"))))
 
 
 _WORDS = (
@@ -241,7 +290,7 @@ def _container(line: str, proved: frozenset[str]) -> Container | None:
         return None
     if not isinstance(fields, dict) or not fields.get("name"):
         return None
-    text = {word: fields[word] if isinstance(fields.get(word), str) else "" for word in _WORDS}
+    text = {word: _text(fields.get(word)) for word in _WORDS}
     code, restarts = map(_small, (fields.get("code"), fields.get("restarts")))
     return Container(
         name=text["name"].removeprefix("/"),
@@ -260,6 +309,11 @@ def _container(line: str, proved: frozenset[str]) -> Container | None:
 
 def _small(number: object) -> int:
     return number if isinstance(number, int) and abs(number) < 1 << 31 else 0
+
+
+def _text(value: object) -> str:
+    """A value of JSON if it is text: that may hold halves of letters, which no terminal and no file takes."""
+    return value.encode(errors="replace").decode() if isinstance(value, str) else ""
 
 
 def _time(text: str) -> float:

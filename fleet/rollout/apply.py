@@ -36,6 +36,12 @@ NOTE = "note:"
 
 AGAIN = "run the same command again when the robot is back"
 
+_TOLD = 32_000
+"""Characters from the end of what a command printed that are told."""
+
+_MOST_NOTES = 200
+"""Notes of one script that are shown: a robot may print them without end."""
+
 
 @runtime_checkable
 class InteractiveFeed(Protocol):
@@ -98,14 +104,16 @@ class _Notes:
     def __init__(self, show: Callable[[str], None]) -> None:
         self._show = show
         self._rest = b""
+        self._left = _MOST_NOTES
 
     def hear(self, data: bytes) -> None:
         """Take a piece of output; of a line without an end, the first 4 kB."""
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[:4096]
         for line in lines:
-            text = terminal.plain(line.decode(errors="replace"))
-            if text.startswith(NOTE):
+            text = terminal.plain(line[:4096].decode(errors="replace"))
+            if text.startswith(NOTE) and self._left:
+                self._left -= 1
                 self._show(text.removeprefix(NOTE).strip())
 
 
@@ -166,7 +174,7 @@ class _Work:
         self._link.goes_on = False
         if result.code:
             # Compose writes control sequences into logs even without a terminal.
-            text = terminal.plain(result.errors).strip() or f"it ended with code {result.code}"
+            text = terminal.plain(result.errors[-_TOLD:]).strip() or f"it ended with code {result.code}"
             raise CommandFailed(text, cure=explain(text)[1] or step.cure, code=result.code, output=text)
 
     def _open(self, feed: Feed) -> Iterable[bytes]:
@@ -243,7 +251,7 @@ def _aftermath(
 def _ask(step: Step, link: Link) -> str:
     try:
         # Compose writes control sequences into logs even without a terminal.
-        return terminal.plain(link.session.run(step.argv, limit=step.limit).output).strip()
+        return terminal.plain(link.session.run(step.argv, limit=step.limit).output[-_TOLD:]).strip()
     except RobotError:
         return ""
 

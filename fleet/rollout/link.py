@@ -9,6 +9,7 @@ from fleet.diagnosis import explain
 from fleet.errors import CommandFailed, LinkLost, NotAsPlanned
 from fleet.robot import facts, probe
 from fleet.ssh import connect
+from fleet.ssh.approach import Approach
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,15 +21,32 @@ GOES_ON = "the robot goes on by itself: `fab status` shows the result"
 """What a person is told who leaves a robot while it swaps its containers."""
 
 
-class Link:
-    """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C."""
+_PARSING = threading.Lock()
+"""Answers are read one after the other: a strange one may need much memory for a moment."""
 
-    def __init__(self, robot: Robot) -> None:
+_TOLD = 32_000
+"""Characters from the end of a command's errors that are told and looked at."""
+
+
+class Link:
+    """The link to one robot. It connects at its first use, can reconnect, and is closed by another thread on Ctrl-C.
+
+    ``connect_timeout`` is in seconds, see `fleet.ssh.connect.CONNECT_TIMEOUT`.
+    """
+
+    def __init__(self, robot: Robot, *, connect_timeout: float = connect.CONNECT_TIMEOUT) -> None:
         self.robot = robot
+        self._connect_timeout = connect_timeout
+        self._approach = Approach()
         self._session: connect.Session | None = None
         self.closed = threading.Event()
         self.goes_on = False
         """Whether what runs on the robot goes on without this link."""
+
+    @property
+    def silence(self) -> float:
+        """Seconds that the robot lets us wait for the first word of its answer; 0 otherwise."""
+        return self._approach.silence
 
     @property
     def session(self) -> connect.Session:
@@ -36,7 +54,9 @@ class Link:
         if self.closed.is_set():
             raise LinkLost("interrupted by Ctrl-C")
         if self._session is None:
-            self._session = connect.connect(self.robot)
+            self._session = connect.connect(
+                self.robot, connect_timeout=self._connect_timeout, approach=self._approach
+            )
             if self.closed.is_set():  # Ctrl-C came while it connected
                 self._session.close()
         return self._session
@@ -59,19 +79,20 @@ class Link:
 
     def facts(self, *, images: bool = False) -> facts.Facts:
         """Return the robot's facts, read in one round trip; with ``images`` also those about its images."""
-        answer = self.session.run(probe.command(images=images), limit=30)
+        keep = probe.LONGEST_WITH_IMAGES if images else probe.LONGEST
+        answer = self.session.run(probe.command(images=images), limit=30, keep=keep)
         if f"{probe.MARK} end" not in answer.output:
-            raise NotAsPlanned(
-                f"the robot's shell did not run the probe: {answer.errors.strip() or 'no answer'}"
-            )
-        return probe.parse(answer.output)
+            reason = answer.errors.strip()[-_TOLD:] or "no answer"
+            raise NotAsPlanned(f"the robot's shell did not run the probe: {reason}")
+        with _PARSING:
+            return probe.parse(answer.output)
 
 
 def output_of(argv: Sequence[str], result: connect.Result, *, cure: str = "") -> str:
     """Return the output of a command that must succeed. Raises `CommandFailed`, which explains the error output."""
     if result.code == 0:
         return result.output
-    error_output = result.errors.strip() or result.output.strip()
+    error_output = (result.errors.strip() or result.output.strip())[-_TOLD:]
     what, known_cure = explain.explain(error_output)
     raise CommandFailed(
         what or f"`{argv[0]}` ended with code {result.code}",

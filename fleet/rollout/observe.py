@@ -34,9 +34,15 @@ def observe_one(link: Link, *, images: bool, progress: Progress, retry_for: floa
             timer.wait(problem)
 
 
-def observe(robots: Sequence[Robot], *, progress: Progress) -> dict[str, Facts | FleetError]:
-    """Return each robot's facts, or the reason why they are missing."""
-    seen: dict[str, Facts | FleetError] = {}
+LOOK_TIMEOUT = 8.0
+"""Seconds to connect, and again for the first words, when a robot is only looked at: TCP has asked four times by then."""
+
+
+def observe(
+    robots: Sequence[Robot], *, progress: Progress, seen: dict[str, Facts | FleetError] | None = None
+) -> dict[str, Facts | FleetError]:
+    """Return each robot's facts, or the reason why they are missing. ``seen`` is filled as the robots answer."""
+    seen = {} if seen is None else seen
 
     def read(link: Link) -> Outcome:
         try:
@@ -46,8 +52,10 @@ def observe(robots: Sequence[Robot], *, progress: Progress) -> dict[str, Facts |
             raise
         return Outcome(robot=link.robot.name, status="done")
 
-    each(robots, read, progress=progress)
-    return {robot.name: seen.get(robot.name, LinkLost("interrupted by Ctrl-C")) for robot in robots}
+    outcomes = each(robots, read, progress=progress, connect_timeout=LOOK_TIMEOUT)
+    for outcome in outcomes:
+        seen.setdefault(outcome.robot, LinkLost(outcome.reason, cure=outcome.cure))
+    return {robot.name: seen[robot.name] for robot in robots}
 
 
 def keep_observing(

@@ -24,8 +24,12 @@ if TYPE_CHECKING:
     Printer = Callable[[str, str], None]
 
 
+LONGEST_LINE = 64 * 1024
+"""Bytes of a line that are shown as one: a robot may print for ever without an end of line."""
+
+
 class Lines:
-    """Split bytes, as they arrive, into whole lines."""
+    """Split bytes, as they arrive, into whole lines. Of a line that is too long each part becomes a line."""
 
     def __init__(self, on_line: Callable[[str], None]) -> None:
         self._on_line = on_line
@@ -33,9 +37,16 @@ class Lines:
 
     def on_output(self, data: bytes) -> None:
         """Take the next bytes of output."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, rest = (self._rest + data).split(b"\n")
         for line in lines:
-            self._on_line(line.decode(errors="replace").rstrip("\r"))
+            self._show(line)
+        if whole := max(len(rest) - 1, 0) // LONGEST_LINE * LONGEST_LINE:
+            self._show(rest[:whole])
+        self._rest = rest[whole:]
+
+    def _show(self, line: bytes) -> None:
+        for start in range(0, max(len(line), 1), LONGEST_LINE):
+            self._on_line(line[start : start + LONGEST_LINE].decode(errors="replace").rstrip("\r"))
 
     def end(self) -> None:
         """Pass on a last line that has no line end."""
@@ -97,11 +108,12 @@ def _stream(
     link: Link, argv: tuple[str, ...], printer: Printer, *, feed: tuple[()] | None, limit: float | None
 ) -> Outcome:
     name = link.robot.name
-    lines = Lines(lambda text: printer(name, text))
-    result = link.session.run(argv, feed=feed, limit=limit, on_output=lines.on_output)
-    lines.end()
-    for text in result.errors.splitlines():
-        printer(name, text)
+    output, errors = (Lines(lambda text: printer(name, text)) for _ in range(2))
+    result = link.session.run(
+        argv, feed=feed, limit=limit, on_output=output.on_output, on_errors=errors.on_output
+    )
+    output.end()
+    errors.end()
     if result.code:
-        raise CommandFailed(f"ended with code {result.code}", code=result.code, output=result.errors)
+        raise CommandFailed(f"ended with code {result.code}", code=result.code)
     return Outcome(robot=name, status="done")

@@ -11,7 +11,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Protocol
 
-from fleet.errors import LinkLost, TimedOut
+from fleet.errors import LinkLost, NotAsPlanned, TimedOut
+from fleet.units import human_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -33,6 +34,18 @@ LINGER = 2.0
 
 BEAT = 10.0
 """Seconds between two bytes that tell a command with open input that the desktop still listens."""
+
+KEPT = 4_000_000
+"""Bytes of output that are kept, and as many of errors: answers have some thousand. A robot that prints more is not read on."""
+
+TAKES_WITHIN = 900.0
+"""Seconds in which a robot must take the next bytes of a stream: a slow card is busy for a minute, not for a quarter of an hour."""
+
+ENDS_WITHIN = 7200.0
+"""Seconds in which a command without a limit must end after the last byte it was sent: `docker load` of 10 GB takes an hour."""
+
+READS = 16
+"""Reads of errors between two looks at the output and the clock: errors without end must not hide them."""
 
 AGAIN = "check the robot's power and network, then run the same command again"
 
@@ -61,29 +74,58 @@ class Transport(Protocol):
     def global_request(self, kind: str, data: None = None, wait: bool = True) -> object: ...
 
 
-class ChannelPump:
-    """One command's input, output and end. Make one per command, call `run` once, then read `output` and `errors`."""
+class _Kept:
+    """Bytes that are kept, up to a number."""
 
-    def __init__(self, *, channel: Channel, transport: Transport, link_timeout: float) -> None:
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._pieces: list[bytes] = []
+        self._size = 0
+
+    def add(self, data: bytes) -> None:
+        """Keep the next bytes. Raises `NotAsPlanned` if they are too many."""
+        self._size += len(data)
+        if self._size > self._most:
+            self._pieces.clear()
+            what = f"the robot printed more than {human_bytes(self._most)}, so it was not read any further"
+            raise NotAsPlanned(what, cure="log in and see what its shell and its `docker` print")
+        self._pieces.append(data)
+
+    def text(self) -> str:
+        """All of it, with undecodable bytes replaced."""
+        return b"".join(self._pieces).decode(errors="replace")
+
+
+class ChannelPump:
+    """One command's input, output and end. Make one per command, call `run` once, then read `output` and `errors`.
+
+    ``keep`` is the number of bytes that are kept of each.
+    """
+
+    def __init__(
+        self, *, channel: Channel, transport: Transport, link_timeout: float, keep: int = KEPT
+    ) -> None:
         self._channel = channel
         self._transport = transport
         self._link_timeout = link_timeout
-        self._out: list[bytes] = []
-        self._err: list[bytes] = []
+        self._out = _Kept(keep)
+        self._err = _Kept(keep)
+        self._on_errors: OnOutput = self._err.add
         self._alive = time.monotonic()
         self._asked = False
+        self._must_move = float("inf")  # when the robot must have taken the bytes it is being sent, or ended
         self._over = threading.Event()
         self._failed: BaseException | None = None
 
     @property
     def output(self) -> str:
         """Standard output so far, unless ``on_output`` received it."""
-        return b"".join(self._out).decode(errors="replace")
+        return self._out.text()
 
     @property
     def errors(self) -> str:
-        """Standard error so far."""
-        return b"".join(self._err).decode(errors="replace")
+        """Standard error so far, unless ``on_errors`` received it."""
+        return self._err.text()
 
     def run(
         self,
@@ -92,6 +134,7 @@ class ChannelPump:
         limit: float | None,
         on_sent: OnSent | None,
         on_output: OnOutput | None,
+        on_errors: OnOutput | None = None,
     ) -> int:
         """Send input and read output until the command ends. Returns its exit code, or -1 if a signal ended it.
 
@@ -99,8 +142,9 @@ class ChannelPump:
 
         Raises:
             LinkLost: the connection was lost, or the robot was silent for ``link_timeout`` seconds.
-            TimedOut: the robot did not stop the command at its limit.
-            Whatever iterating ``feed``, ``on_sent`` or ``on_output`` raises.
+            TimedOut: the robot did not stop the command at its limit, or did not take what it was sent.
+            NotAsPlanned: it printed more than is kept.
+            Whatever iterating ``feed``, ``on_sent``, ``on_output`` or ``on_errors`` raises.
 
         """
         self._channel.settimeout(TICK)
@@ -110,9 +154,11 @@ class ChannelPump:
         elif feed is None:
             threading.Thread(target=self._beat, daemon=True).start()
         else:
-            threading.Thread(target=self._send, args=(feed, on_sent), daemon=True).start()
+            ends_within = ENDS_WITHIN if limit is None else float("inf")
+            threading.Thread(target=self._send, args=(feed, on_sent, ends_within), daemon=True).start()
         try:
-            self._read(on_output or self._out.append, deadline=deadline)
+            self._on_errors = on_errors or self._err.add
+            self._read(on_output or self._out.add, deadline=deadline)
         finally:
             self._over.set()
         return self._code()
@@ -122,7 +168,6 @@ class ChannelPump:
         ended: float | None = None  # later: when the last output after the end arrived
         while ended is None or self._lingers(ended):
             self._check(deadline=deadline)
-            self._read_errors()
             try:
                 data = self._channel.recv(1 << 20)
             except TimeoutError:
@@ -130,9 +175,11 @@ class ChannelPump:
             if data:
                 self._alive = time.monotonic()
                 on_output(data)
+            self._read_errors()
             if self._channel.exit_status_ready():
                 if data == b"":
-                    self._read_errors()
+                    while self._read_errors():
+                        self._check(deadline=deadline)
                     return
                 if data or ended is None:
                     ended = time.monotonic()
@@ -147,10 +194,14 @@ class ChannelPump:
             self._ask()
         return self._alive <= ended
 
-    def _read_errors(self) -> None:
-        while self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20)):
+    def _read_errors(self) -> bool:
+        """Read errors that have arrived, and return whether there may be more."""
+        for _ in range(READS):
+            if not (self._channel.recv_stderr_ready() and (data := self._channel.recv_stderr(1 << 20))):
+                return False
             self._alive = time.monotonic()
-            self._err.append(data)
+            self._on_errors(data)
+        return True
 
     def _code(self) -> int:
         code = self._channel.recv_exit_status()
@@ -163,7 +214,7 @@ class ChannelPump:
                 raise LinkLost("the connection was lost while the command ran", cure=AGAIN)
         return code
 
-    def _send(self, feed: Iterable[bytes], on_sent: OnSent | None) -> None:
+    def _send(self, feed: Iterable[bytes], on_sent: OnSent | None, ends_within: float) -> None:
         """Send the feed, in a thread of its own. The reading thread raises any error."""
         try:
             for chunk in feed:
@@ -177,6 +228,7 @@ class ChannelPump:
         except BaseException as problem:  # noqa: BLE001  raised by the reading thread
             self._failed = problem
         else:
+            self._must_move = time.monotonic() + ends_within
             self._end_input()
         finally:
             if close := getattr(feed, "close", None):
@@ -195,6 +247,7 @@ class ChannelPump:
     def _push(self, piece: memoryview) -> bool:
         """Send a piece, however long it takes. Returns False if the command no longer reads; its output has the reason."""
         while piece:
+            self._must_move = min(self._must_move, time.monotonic() + TAKES_WITHIN)
             try:
                 count = self._channel.send(piece)  # type: ignore[arg-type]  # takes any buffer, annotated bytes
             except TimeoutError:
@@ -205,6 +258,7 @@ class ChannelPump:
                 raise LinkLost(
                     f"the connection was lost while bytes were sent: {problem}", cure=AGAIN
                 ) from problem
+            self._must_move = float("inf")
             if not count:
                 return False
             self._alive = time.monotonic()
@@ -221,6 +275,11 @@ class ChannelPump:
             raise TimedOut(
                 "the command did not stop at its time limit, so the connection was cut",
                 cure="check whether the robot is overloaded",
+            )
+        if now > self._must_move:
+            raise TimedOut(
+                "the robot answers, but it does not go on with what it was sent, so the connection was cut",
+                cure="see what its `docker` is doing, or restart it",
             )
         if quiet > self._link_timeout:
             what = f"nothing was heard from the robot for {quiet:.0f} s while the command ran"

@@ -22,8 +22,9 @@ import paramiko
 from paramiko.agent import AgentSSH
 from paramiko.ssh_exception import PartialAuthentication
 
-from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable
-from fleet.ssh import key_files, known_hosts, openssh_config, tcp
+from fleet.errors import LinkLost, LoginRefused, NotReady, Unreachable, UntrustedHostKey
+from fleet.ssh import key_files, known_hosts, openssh_config, revoked_keys, tcp
+from fleet.ssh.approach import Approach
 from fleet.ssh.channel import AGAIN
 from fleet.ssh.known_hosts import HostKey, KnownHosts
 from fleet.ssh.proxy_command import ProxySocket
@@ -46,8 +47,15 @@ CONNECT_TIMEOUT = 10.0
 LINK_TIMEOUT = 25.0
 """Seconds without a sign of life after which a link is dead: longer than a Wi-Fi roam, shorter than the time that a lost link is retried."""
 
+LONGEST_PACKET = 256 * 1024
+"""Bytes of a packet, as in OpenSSH: a device that only claims to be a robot could send one of 4 GB before it proves anything."""
+
 ATTEMPTS = 6
 """Attempts to connect: in a burst, an sshd drops some connections before its banner (MaxStartups)."""
+
+
+_TOLD = 300
+"""Characters of an error that are told: it may have a whole line of the other end's."""
 
 
 def connect(
@@ -56,8 +64,11 @@ def connect(
     connect_timeout: float = CONNECT_TIMEOUT,
     link_timeout: float = LINK_TIMEOUT,
     config: Path | None = None,
+    approach: Approach | None = None,
 ) -> Session:
     """Log in to a robot. ``config`` is read in place of OpenSSH's own configuration; see `CONNECT_TIMEOUT` and `LINK_TIMEOUT`.
+
+    ``approach`` is kept up to date meanwhile.
 
     Raises:
         Unreachable, UntrustedHostKey, LoginRefused: each with its cause and cure.
@@ -67,8 +78,10 @@ def connect(
     destination = openssh_config.resolve(robot, config=config)
     hops = _Hops(robot.known_hosts, connect_timeout=connect_timeout, link_timeout=link_timeout)
     try:
-        for stop in (*destination.via, destination):
-            hops.log_in(stop, jump=stop is not destination)
+        for stop in destination.via:
+            hops.log_in(stop, jump=True)
+        # Behind a command, silence may be that of a jump host with too many connections: it would get more of them.
+        hops.log_in(destination, jump=False, approach=None if destination.proxy_command else approach)
     except BaseException:
         hops.close()
         raise
@@ -108,12 +121,22 @@ class _Transport(paramiko.Transport):
         "aes256-ctr",
     )
 
-    def __init__(self, stream: Stream, *, prefer: tuple[str, ...], connect_timeout: float) -> None:
+    def __init__(
+        self, stream: Stream, *, prefer: tuple[str, ...], only: tuple[str, ...], connect_timeout: float
+    ) -> None:
         super().__init__(stream)
         # `start_client` has its own limit. That must pass first: it tells an sshd that is silent from one that hangs up.
         self.banner_timeout = self.auth_timeout = 2 * connect_timeout
         usual: tuple[str, ...] = paramiko.Transport._preferred_keys  # type: ignore[attr-defined]  # noqa: SLF001
-        self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in usual), *usual)))
+        self._read_all = self.packetizer.read_all
+        self.packetizer.read_all = self._read_some  # type: ignore[method-assign,assignment]
+        allowed = [name for name in usual if name in only or not only]
+        self._preferred_keys = tuple(dict.fromkeys((*(name for name in prefer if name in allowed), *allowed)))
+
+    def _read_some(self, count: int, check_rekey: bool = False) -> bytes:
+        if count > LONGEST_PACKET:
+            raise paramiko.SSHException(f"it announced a packet of {count} bytes")
+        return self._read_all(count, check_rekey)
 
     def _log(self, level: int, msg: object, *args: object) -> None:
         """Log nothing: errors are raised, and Paramiko would print tracebacks of a robot's protocol errors."""
@@ -165,15 +188,21 @@ class _Hops:
         """Close all connections."""
         close(self.chain)
 
-    def reach(self, stop: Destination) -> tuple[HostKey, KnownHosts]:
-        """Connect to an sshd. Returns the host key that it proved to own, and the recorded keys."""
+    def reach(self, stop: Destination, approach: Approach | None = None) -> tuple[HostKey, KnownHosts]:
+        """Connect to an sshd. Returns the host key that it proved to own and nobody has revoked, and the recorded keys."""
         known = known_hosts.read((self._recorded, *stop.known_hosts))
+        approach = approach or Approach()
         for attempt in range(1, ATTEMPTS + 1):
+            approach.ask()
             stream = self._stream(stop)
             transport = _Transport(
-                stream, prefer=known.algorithms(stop.known_as), connect_timeout=self._connect_timeout
+                stream,
+                prefer=known.algorithms(stop.known_as),
+                only=stop.host_key_algorithms,
+                connect_timeout=self._connect_timeout,
             )
             self.chain.append(transport)
+            approach.listen(transport)
             try:
                 transport.start_client(timeout=self._connect_timeout)
                 key = transport.get_remote_server_key()
@@ -184,15 +213,17 @@ class _Hops:
                 stream.close()
                 if silent or attempt == ATTEMPTS or not _was_dropped(stream, problem):
                     raise _unreachable(stop, stream, transport, problem, silent=silent) from problem
+                approach.end()
                 pause = self._connect_timeout * attempt / 10
                 time.sleep(random.uniform(pause / 5, pause))  # noqa: S311  a burst must not come back as one
             else:
-                return HostKey(kind=key.get_name(), blob=key.asbytes()), known
+                approach.end()
+                return _acceptable(key, stop), known
         raise AssertionError("the last attempt returns or raises")
 
-    def log_in(self, stop: Destination, *, jump: bool) -> None:
+    def log_in(self, stop: Destination, *, jump: bool, approach: Approach | None = None) -> None:
         """Connect to an sshd, check its host key, and log in with the first key that it accepts."""
-        key, known = self.reach(stop)
+        key, known = self.reach(stop, approach)
         known_hosts.check(key, name=stop.known_as, known=known, jump=jump)
         refusals: list[str] = []
         with contextlib.closing(_Agent(stop.agent)) as agent:
@@ -200,7 +231,8 @@ class _Hops:
                 if not (refusal := self._refusal(stop, label, load)):
                     return
                 refusals.append(refusal)
-        cure = f"ssh-copy-id {stop.login}"
+        too_open = [path for path in stop.identity_files if key_files.too_open(path)]
+        cure = f"chmod 600 {too_open[0]}" if too_open else f"ssh-copy-id {stop.login}"
         if not refusals:
             self._ask_what_it_takes(stop)
             refusals, cure = (
@@ -280,7 +312,30 @@ def _keys(stop: Destination, agent: _Agent) -> Iterator[tuple[str, Callable[[], 
             yield f"the agent's key {files.get(blob) or held[blob].comment}", partial(_same, held[blob])
     for blob, path in files.items():
         if blob not in held:
-            yield str(path), partial(paramiko.PKey.from_path, path)
+            yield str(path), partial(_private, path, stop.rsa_bits)
+
+
+def _acceptable(key: paramiko.PKey, stop: Destination) -> HostKey:
+    """Return a host key that OpenSSH's configuration does not refuse, whoever trusts it."""
+    if _is_short(key, stop.rsa_bits):
+        what = f"the host key of {stop.known_as} has {key.get_bits()} bits, and RequiredRSASize is {stop.rsa_bits}"
+        raise UntrustedHostKey(what, cure="make new host keys on it with `ssh-keygen -A`")
+    offered = HostKey(kind=key.get_name(), blob=key.asbytes())
+    revoked_keys.refuse(offered, stop.revoked, name=stop.known_as)
+    return offered
+
+
+def _is_short(key: paramiko.PKey, least: int) -> bool:
+    return key.get_name() == "ssh-rsa" and key.get_bits() < least
+
+
+def _private(path: Path, rsa_bits: int) -> paramiko.PKey:
+    if mode := key_files.too_open(path):
+        raise PermissionError(f"its mode {mode:04o} lets others read it")
+    key: paramiko.PKey = paramiko.PKey.from_path(path)
+    if _is_short(key, rsa_bits):
+        raise ValueError(f"it has {key.get_bits()} bits, and RequiredRSASize is {rsa_bits}")
+    return key
 
 
 def _same(key: paramiko.PKey) -> paramiko.PKey:
@@ -317,7 +372,7 @@ def _unreachable(
         what = (
             "stopped answering during the key exchange"
             if silent
-            else f"broke off the key exchange: {str(problem) or 'it closed the connection'}"
+            else f"broke off the key exchange: {str(problem)[:_TOLD] or 'it closed the connection'}"
         )
         return Unreachable(f"{where} {what}", cure="the robot may be overloaded, or its OpenSSH very old")
     if silent:
@@ -326,4 +381,6 @@ def _unreachable(
             cure="the robot may be overloaded or frozen: restart it",
         )
     cure = "check the port; a busy sshd (MaxStartups), or one that blocks this address, does the same"
-    return Unreachable(f"{where} closed the connection, or is not an SSH server: {problem}", cure=cure)
+    return Unreachable(
+        f"{where} closed the connection, or is not an SSH server: {str(problem)[:_TOLD]}", cure=cure
+    )

@@ -1,9 +1,13 @@
-"""Which public key belongs to a private key file? With it, an agent's key is matched to a file's name."""
+"""Which public key belongs to a private key file, and may the file be used?
+
+With the public key, an agent's key is matched to a file's name.
+"""
 
 from __future__ import annotations
 
 import base64
 import contextlib
+import os
 import struct
 from typing import TYPE_CHECKING
 
@@ -11,6 +15,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAGIC = b"openssh-key-v1\0"
+
+
+def too_open(path: Path) -> int:
+    """Return the mode of a private key file of this user that others can read, write or run; otherwise 0.
+
+    OpenSSH does not use such a key (sshkey_perm_ok in authfile.c).
+    """
+    with contextlib.suppress(OSError):
+        seen = path.stat()
+        if path.suffix != ".pub" and seen.st_uid == os.getuid() and seen.st_mode & 0o077:
+            return seen.st_mode & 0o777
+    return 0
 
 
 def public_half(path: Path) -> bytes:

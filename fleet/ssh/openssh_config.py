@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from fleet.config.inventory import Robot
 
 _MOST_HOPS = 8
+
+_WATCHED = ("ConnectTimeout=10", "ServerAliveInterval=8", "ServerAliveCountMax=3")
+"""How OpenSSH's own client notices a dead link about as soon as our verbs do (`fleet.ssh.connect.LINK_TIMEOUT`)."""
+
 _JUMP = re.compile(
     r"(?:ssh://)?(?:(?P<user>.+)@)?(?:\[(?P<six>[^]]+)]|(?P<host>[^:/]+))(?::(?P<port>\d+))?/?"
 )
@@ -33,7 +37,9 @@ class Destination:
 
     ``known_as`` is the name that ``known_hosts`` files keep it under: HostKeyAlias where there is one. ``agent`` is the
     socket of the agent to ask (empty: none); of its keys only those of ``identity_files`` with ``only_named``. ``via``
-    are the hosts of ProxyJump, in the order they are reached. ``known_hosts`` are the user's and the system's files.
+    are the hosts of ProxyJump, in the order they are reached. ``known_hosts`` are the user's and the system's files,
+    ``revoked`` those of RevokedHostKeys. ``host_key_algorithms`` are the only ones to accept (empty: all), ``rsa_bits`` the
+    least that an RSA key must have.
     """
 
     host: str
@@ -46,6 +52,9 @@ class Destination:
     via: tuple[Destination, ...] = ()
     proxy_command: str = ""
     known_hosts: tuple[Path, ...] = ()
+    revoked: tuple[Path, ...] = ()
+    host_key_algorithms: tuple[str, ...] = ()
+    rsa_bits: int = 0
 
     @property
     def login(self) -> str:
@@ -75,7 +84,8 @@ def login(robot: Robot) -> tuple[str, ...]:
     files = (robot.known_hosts, *resolve(robot).known_hosts)
     known = " ".join('"' + str(path).replace("%", "%%") + '"' for path in files)
     trusted = ("-o", f"UserKnownHostsFile={known}", "-o", "StrictHostKeyChecking=yes")
-    return ("ssh", *_options(robot), *trusted, "--", robot.address)
+    watched = tuple(part for option in _WATCHED for part in ("-o", option))
+    return ("ssh", *_options(robot), *trusted, *watched, "--", robot.address)
 
 
 def parse(text: str, *, address: str) -> Destination:
@@ -101,6 +111,11 @@ def parse(text: str, *, address: str) -> Destination:
         proxy_command=_replaced(one.get("proxycommand", ""), tokens),
         # Names are printed unquoted and separated by spaces; a name may itself contain spaces.
         known_hosts=tuple(Path(name) for names in known for name in re.split(r" (?=/)", names)),
+        revoked=tuple(
+            Path(_expanded(name, tokens)) for name in settings.get("revokedhostkeys", []) if name != "none"
+        ),
+        host_key_algorithms=tuple(filter(None, one.get("hostkeyalgorithms", "").split(","))),
+        rsa_bits=int(one.get("requiredrsasize", 0)),
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, Self
 
 from fleet.errors import TimedOut
-from fleet.ssh.channel import Channel, ChannelPump, Transport
+from fleet.ssh.channel import KEPT, Channel, ChannelPump, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -75,13 +75,16 @@ class Session:
         limit: float | None = 60.0,
         on_sent: OnSent | None = None,
         on_output: OnOutput | None = None,
+        on_errors: OnOutput | None = None,
+        keep: int = KEPT,
     ) -> Result:
         """Run a command and wait for its end.
 
         ``feed`` becomes its standard input. ``None`` leaves the input open until the connection closes, with a byte every
         `fleet.ssh.channel.BEAT` seconds as a sign of life. ``limit`` is in seconds; ``timeout`` enforces it on the robot,
         so that no command runs on there. ``on_sent`` gets the number of bytes of each piece that was sent. ``on_output``
-        gets standard output as it arrives; the result then does not have it.
+        gets standard output as it arrives, ``on_errors`` standard error; the result then does not have it. ``keep`` is how
+        many bytes of each the result may have.
 
         If the feed fails, the connection is closed. The command then sees the end of its input, as after a lost link, so
         it must check that its input is complete.
@@ -90,15 +93,20 @@ class Session:
             LinkLost: the connection was lost, or the robot fell silent.
             TimedOut: ``limit`` passed.
             NotReady: the robot cannot start a command.
-            Whatever ``feed``, ``on_sent`` or ``on_output`` raise; the connection is closed then.
+            NotAsPlanned: the command printed more than is kept; the connection is closed then.
+            Whatever ``feed``, ``on_sent``, ``on_output`` or ``on_errors`` raise; the connection is closed then.
 
         """
         bounded = argv if limit is None else ("timeout", "-k", "5", f"{limit:.10g}", *argv)
         started = time.monotonic()
         with contextlib.closing(self._start(f"cd; {shlex.join(bounded)}")) as channel:
-            pump = ChannelPump(channel=channel, transport=self._chain[-1], link_timeout=self._link_timeout)
+            pump = ChannelPump(
+                channel=channel, transport=self._chain[-1], link_timeout=self._link_timeout, keep=keep
+            )
             try:
-                code = pump.run(feed=feed, limit=limit, on_sent=on_sent, on_output=on_output)
+                code = pump.run(
+                    feed=feed, limit=limit, on_sent=on_sent, on_output=on_output, on_errors=on_errors
+                )
             except BaseException:
                 self.close()
                 raise

@@ -51,6 +51,7 @@ class LayerCache:
         self._export = export
         self._lock = threading.Lock()  # an image is exported once, although many robots need it
         self._names: dict[str, str] = {}
+        self._sound: set[str] = set()  # digests of files whose bytes this run has read or written
 
     def pack(self, image: Image, diff_ids: Iterable[str], encoding: Encoding) -> dict[str, Blob]:
         """The layers ``diff_ids`` of an image, packed: from the cache, or else from Docker.
@@ -124,14 +125,24 @@ class LayerCache:
                     out.seek(0)
                     digest, size = hashlib.file_digest(out, "sha256").hexdigest(), out.tell()
                 Path(part).replace(self._directory / digest)
+                self._sound.add(digest)
             finally:
                 Path(part).unlink(missing_ok=True)
         return digest, size
 
     def size(self, digest: str) -> int:
-        """The size in bytes of the file of a digest (hex), which counts as used now. Raises ``OSError`` if it is missing."""
-        os.utime(self._directory / digest)
-        return (self._directory / digest).stat().st_size
+        """The size in bytes of the file of a digest (hex), which counts as used now. Raises ``OSError`` if it is missing.
+
+        A file that is damaged is removed, and missing: a robot would find that out only after it was sent.
+        """
+        path = self._directory / digest
+        os.utime(path)
+        if digest not in self._sound:
+            if not _is(path, f"sha256:{digest}"):
+                path.unlink(missing_ok=True)
+                raise FileNotFoundError(f"{path} was damaged")
+            self._sound.add(digest)
+        return path.stat().st_size
 
     def noted(self, name: str) -> str:
         """Read a note. Raises ``OSError`` if it is missing."""
@@ -199,6 +210,7 @@ class LayerCache:
             self._names[name] = blob.diff_id
             if blob.diff_id in missing:
                 Path(part).replace(self._directory / blob.hex)
+                self._sound.add(blob.hex)
                 self.note(_name(blob.diff_id, encoding), json.dumps(asdict(blob)))
         finally:
             Path(part).unlink(missing_ok=True)
@@ -207,7 +219,8 @@ class LayerCache:
 def _is(path: Path, digest: str) -> bool:
     """Whether a file is there with the content of that digest."""
     try:
-        return f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" == digest
+        with path.open("rb") as content:
+            return f"sha256:{hashlib.file_digest(content, 'sha256').hexdigest()}" == digest
     except OSError:
         return False
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 
 import pytest
 from hypothesis import given
@@ -28,7 +29,9 @@ RED = "\x1b[31mred\x1b[0m"
         ("\x1b(0line drawing", "line drawing"),
         ("10%\r20%\b\x00\x07\x0e\x7f", "10%20%"),
         ("\u202egnp.exe", "gnp.exe"),
+        ("\u200f\u061c\u2067right to left", "right to left"),
         ("two\u2028lines", "twolines"),
+        ("half \ud83d of a letter", "half  of a letter"),
         ("cut\x1b", "cut"),
         ("cut\x1b[", "cut"),
     ],
@@ -58,3 +61,40 @@ def test_nothing_but_colours_survives(said: str) -> None:
     control = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
     assert not control.search(terminal.plain(said))
     assert not control.search(re.sub(r"\x1b\[[0-9;]*m", "", terminal.coloured(said)))
+
+
+@given(st.text(st.characters(exclude_categories=())))
+def test_no_control_and_no_change_of_direction_survives(said: str) -> None:
+    """Whatever Unicode counts as such, but tab and line end; and what is left can be written."""
+    for text in (terminal.plain(said), re.sub(r"\x1b\[[0-9;]*m", "", terminal.coloured(said))):
+        text.encode()
+        assert not [letter for letter in text if is_unsafe(letter)]
+
+
+def is_unsafe(letter: str) -> bool:
+    """Whether Unicode's tables call it a control character, or one that changes the direction of text."""
+    if letter in "\t\n":
+        return False
+    explicit = unicodedata.bidirectional(letter) in {
+        "LRE",
+        "RLE",
+        "LRO",
+        "RLO",
+        "PDF",
+        "LRI",
+        "RLI",
+        "FSI",
+        "PDI",
+    }
+    return (
+        unicodedata.category(letter) in {"Cc", "Cs", "Zl", "Zp"} or explicit or letter in "\u061c\u200e\u200f"
+    )
+
+
+def test_all_of_unicode() -> None:
+    """Each letter alone."""
+    assert not [
+        code
+        for code in range(0x110000)
+        if is_unsafe(chr(code)) != (terminal.plain(chr(code)) == "") and not 0x206A <= code <= 0x206F
+    ]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import terminal
+from fleet.cli import growing_table
 from fleet.cli.console import Bars, Lines, Screen, Terminal
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, Plan, Step
@@ -142,6 +143,43 @@ def test_a_table_in_a_file_is_not_folded(screen: Screen) -> None:
         f"pi1      {reason.strip()}",
         "rover-2",
     ]
+
+
+def test_a_cell_without_end_is_cut(screen: Screen) -> None:
+    """A robot that names a megabyte as its release must not hide the others."""
+    screen.table(("robot", "what"), [[("pi1", ""), ("x" * 1_000_000, "")], [("rover-2", ""), ("well", "")]])
+    lines = [line.rstrip() for line in out(screen).splitlines()]
+    assert lines[1:] == [f"pi1      {'x' * 2000}…", "rover-2  well"]
+
+
+def test_a_table_that_grows_in_a_file(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its headings come once, and later rows stand below the first ones."""
+    monkeypatch.setattr(growing_table, "FIRST", 0.05)
+    monkeypatch.setattr(growing_table, "NEXT", 0.02)
+    rows = [[("pi1", "bold"), ("as wide as this", "")]]
+    with screen.growing(("robot", "what", "more"), lambda: [[*row, ("m", "")] for row in rows]):
+        end = time.monotonic() + 10
+        while not out(screen):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        rows.append([("rover-2\x1b[2J", ""), ("y", "")])
+    assert [line.rstrip() for line in out(screen).splitlines()] == [
+        "robot  what             more",
+        "pi1    as wide as this  m",
+        "rover-2  y                m",
+    ]
+
+
+def test_a_table_that_grows_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is drawn again, and the whole of it stays."""
+    screen = Screen()
+    screen.out = Terminal(file=io.StringIO(), force_terminal=True, width=80)
+    rows = [[("pi1", "")]]
+    monkeypatch.setenv("TERM", "xterm")
+    with screen.growing(("robot",), lambda: list(rows)):
+        rows.append([("rover-2", "")])
+    last = terminal.plain(out(screen)).splitlines()[-3:]
+    assert [line.strip() for line in last if line.strip()][-2:] == ["pi1", "rover-2"]
 
 
 HOSTILE = "\x1b]0;title\x07\x1b[2J\x1b[10;1H\x9b2Jpi2 | all is well\r\x08\x1b[5n\u202e"

@@ -4,7 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from fleet import terminal
 from fleet.cli import json_output
 from fleet.plan.step import Bytes, Plan, Step
 from tests.support.samples import PI
@@ -39,3 +42,17 @@ def test_values_within_values() -> None:
 def test_letters_stay_letters() -> None:
     """People read it as well."""
     assert json_output.text("Grüße ☃") == '"Grüße ☃"'
+
+
+@given(st.text())
+def test_text_of_a_robot_does_not_steer_a_terminal(said: str) -> None:
+    """Programs read what it said; people who look at it see letters."""
+    written = json_output.text({said: [said]})
+    assert json.loads(written) == {said: [said]}
+    assert terminal.plain(written) == written
+    written.encode()
+
+
+def test_the_worst_of_it() -> None:
+    """A control sequence in one byte, a change of direction, half a letter."""
+    assert json_output.text("\x9b31m\u202e\x1b\ud800") == r'"\u009b31m\u202e\u001b\ud800"'

@@ -207,3 +207,33 @@ def test_only_robots_that_could_not_be_asked_are_problems() -> None:
         Outcome(robot="pi2", status="unreachable", reason=GONE.what, cure=GONE.cure),
         Outcome(robot="pi3", status="failed", reason="`sh` ended with code 1"),
     )
+
+
+def test_rows_come_as_robots_answer_and_the_silent_ones_last() -> None:
+    """What was shown never changes; of those that come together the inventory's order counts."""
+    seen: dict[str, Facts | FleetError] = {"pi3": WELL, "pi2": GONE}
+    arrivals = status.Arrivals(["pi1", "pi2", "pi3", "pi4"], seen)
+
+    def names() -> list[str]:
+        return [row[0][0] for row in arrivals.rows()]
+
+    assert names() == ["pi3"]
+    seen |= {"pi4": WELL, "pi1": WELL}
+    assert names() == names() == ["pi3", "pi1", "pi4"]
+    arrivals.over = True
+    assert names() == names() == ["pi3", "pi1", "pi4", "pi2"]
+    assert [row[0][0] for row in status.table(["pi1", "pi2", "pi9"], seen)] == ["pi1", "pi2"]
+
+
+@pytest.mark.parametrize(
+    ("seen", "total"),
+    [
+        ([], "0 robots: "),
+        ([WELL], "1 robot: 1 well"),
+        ([WELL, GONE, change(WELL, current="other")], "3 robots: 1 well, 1 not well, 1 not reachable"),
+        ([GONE, GONE], "2 robots: 2 not reachable"),
+    ],
+)
+def test_the_total(seen: list[Facts | FleetError], total: str) -> None:
+    """At the end, after all rows."""
+    assert status.total({f"pi{number}": one for number, one in enumerate(seen)}) == total

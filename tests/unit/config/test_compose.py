@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import ANY
 
 import pytest
 
@@ -120,6 +121,37 @@ def test_values_stay_as_they_are(tmp_path: Path) -> None:
     value = "a$b ${c} $$ \"q\" 'r' \\n\n\tü"
     found = services(tmp_path, ONE + "    environment: {A: '${A}', B: }\n", A=value, B=value)
     assert found["a"]["environment"] == {"A": value.replace("$", "$$"), "B": value.replace("$", "$$")}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("PATH", "/nowhere"),
+        ("LD_PRELOAD", "/nowhere.so"),
+        ("LD_LIBRARY_PATH", "/nowhere"),
+        ("BASH_ENV", "/nowhere"),
+        ("ENV", "/nowhere"),
+        ("IFS", "/"),
+        ("TMPDIR", "/nowhere"),
+        ("DOCKER_HOST", "tcp://192.0.2.1:1"),
+        ("DOCKER_CONTEXT", "nowhere"),
+        ("DOCKER_CONFIG", "/nowhere"),
+        ("DOCKER_API_VERSION", "0.1"),
+        ("DOCKER_DEFAULT_PLATFORM", "linux/s390x"),
+        ("COMPOSE_PATH_SEPARATOR", "x"),
+        ("GODEBUG", "x"),
+    ],
+)
+def test_names_that_mean_something_to_tools_are_values_of_the_stack(
+    tmp_path: Path, name: str, value: str
+) -> None:
+    """`PATH` of a node is no PATH of Compose or Docker, here or on the robot: the stack has it, and nothing else differs."""
+    text = f"{ONE}    environment: [{name}]\n    command: ['${{{name}}}']\n    volumes: ['./maps:/maps']\n"
+    write(tmp_path, {"compose.yaml": text})
+    usual, found = (resolved(tmp_path, {name: one}).model["services"] for one in ("usual", value))
+    assert found["a"] == {**usual["a"], "environment": {name: value}, "command": [value], "volumes": ANY}
+    (mount,) = found["a"]["volumes"]
+    assert mount["target"] == "/maps"
 
 
 def test_this_computers_environment_does_not_leak(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -290,6 +290,30 @@ def test_what_lies_in_the_spool_is_used_if_it_is_right(pi: Pi, spoil: object, as
     assert (pi.spool / name).read_bytes() == content
 
 
+@pytest.mark.parametrize(
+    "obstruct",
+    [
+        lambda path: path.mkdir(),
+        lambda path: (path / "sub").mkdir(parents=True),
+        os.mkfifo,
+        lambda path: path.symlink_to("/dev/zero"),
+        lambda path: path.symlink_to("nowhere"),
+    ],
+    ids=["folder", "full folder", "pipe", "link to a device", "link to nothing"],
+)
+def test_what_is_no_file_makes_place_for_an_upload(pi: Pi, obstruct: object) -> None:
+    """It would fail for ever, or be waited for."""
+    assert callable(obstruct)
+    sent = load(image(pi))
+    name, content = list(sent.contents.items())[-1]
+    pi.spool.mkdir(parents=True)
+    obstruct(pi.spool / name)
+    code, complaint, _, lines = pi.ship(sent, whole=False)
+    assert (code, complaint, lines[-1]) == (0, "", "enough")
+    assert (pi.spool / name).read_bytes() == content
+    assert not (pi.spool / name).is_symlink()
+
+
 @pytest.mark.parametrize("number", [0, 1])
 def test_bytes_that_are_wrong_when_they_come_are_not_used(pi: Pi, number: int) -> None:
     """Skeleton or layer: it ends, nothing has got a name, and the upload is not kept."""

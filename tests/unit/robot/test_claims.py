@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from fleet.errors import NotAsPlanned
 from fleet.robot.claims import Claim, Port, parse
 
 
@@ -29,6 +30,14 @@ def test_names_projects_and_ports_are_read() -> None:
 def test_a_huge_range_is_bounded() -> None:
     """A robot's answer is a stranger's."""
     assert len(parse("x||0.0.0.0:1-99999->1-99999/tcp")[0].ports) == 65535
+
+
+@pytest.mark.parametrize("between", [", ", "\ny||"])
+def test_more_ports_than_a_computer_has_are_refused(between: str) -> None:
+    """In one line or in many, each with all ports of another address."""
+    lines = between.join(f"10.0.{number}.1:1-65535->1-65535/tcp" for number in range(5))
+    with pytest.raises(NotAsPlanned, match="more published ports than a computer has"):
+        parse(f"x||{lines}")
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,7 @@ def test_a_robot_that_says_nothing_holds_nothing() -> None:
         ('sha256:1\n\nsha256:2 ["a"', ()),
         ('sha256:1 {"a": 1}\nsha256:2 ["b"]', (("b",),)),
         ('WARNING: something\nsha256:2 ["b"]', (("b",),)),
+        ('sha256:1 [["a"]]\nsha256:2 ["b", 5]\nsha256:3 ["../b"]\nsha256:4 ["a b"]', ()),
     ],
 )
 def test_the_layers_of_each_image(said: str, chains: tuple[tuple[str, ...], ...]) -> None:
@@ -71,7 +72,9 @@ def test_a_receipt_counts_for_the_image_whose_id_is_its_digest(
     assert parse({"layers": layers, "receipts": receipts}).manifests == manifests
 
 
-@pytest.mark.parametrize("size", ["1e999", '"many"', "null", "[1]"])
+@pytest.mark.parametrize(
+    "size", ["1e999", '"many"', "null", "[1]", "-1", "true", "1.5", "9" * 400, "9" * 5000]
+)
 def test_a_receipt_whose_sizes_are_none_is_passed_over(size: str) -> None:
     """Infinity is a number to JSON."""
     layer = f'{{"mediaType": "{GZIP}", "digest": "x", "size": {size}}}'
@@ -80,7 +83,7 @@ def test_a_receipt_whose_sizes_are_none_is_passed_over(size: str) -> None:
 
 
 @pytest.mark.parametrize("key", ["digest", "mediaType"])
-@pytest.mark.parametrize("value", ["5", "null", '["x"]'])
+@pytest.mark.parametrize("value", ["5", "null", '["x"]', '""', '"../x"', '"a b"', '"\\ud800"'])
 def test_a_receipt_whose_words_are_none_is_passed_over(key: str, value: str) -> None:
     """What travels into the next manifest is text."""
     layer = {"mediaType": f'"{GZIP}"', "digest": '"x"', "size": "7", key: value}

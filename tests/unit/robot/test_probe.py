@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from dataclasses import replace
@@ -9,8 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet import onboard
+from fleet.cli import json_output, status
+from fleet.errors import NotAsPlanned, NotReady
+from fleet.provision import daemon_json, steps
 from fleet.robot.facts import Container, Disk, Docker, Facts, Fleet, Host, Login, Packages, StackFacts
 from fleet.robot.probe import MARK, command, parse
+from fleet.transfer import delivery
+from tests.support.samples import PI
 
 
 def answer(**sections: str) -> str:
@@ -116,25 +122,13 @@ def test_sections_that_are_missing_leave_the_defaults() -> None:
     assert parse("") == Facts()
 
 
-@given(
-    st.dictionaries(
-        st.sampled_from(re.findall(r"^ *section (\w+)$", onboard.text("probe.sh"), flags=re.MULTILINE)),
-        st.text(),
-    )
-)
+SECTIONS = re.findall(r"^ *section '?([\w ]+)'?$", onboard.text("probe.sh"), flags=re.MULTILINE)
+
+
+@given(st.dictionaries(st.sampled_from(SECTIONS), st.text()))
 def test_garbage_in_any_section_is_no_traceback(sections: dict[str, str]) -> None:
     """A robot may print anything; what cannot be read is a fact that is not there."""
     parse(answer(**sections))
-
-
-@pytest.mark.parametrize(
-    ("said", "members"), [("", None), ("docker:x:996:", ()), ("docker:x:996:pi", ("pi",))]
-)
-def test_no_docker_group_is_another_thing_than_an_empty_one(
-    said: str, members: tuple[str, ...] | None
-) -> None:
-    """Without Docker's package there is no group to put the login into."""
-    assert parse(answer(group=said)).docker.members == members
 
 
 LINE = {
@@ -163,6 +157,97 @@ NODE = Container(
     policy="unless-stopped",
     since=1_790_000_000.0,
 )
+
+
+LIES = (
+    "9" * 400,
+    "9" * 5000,
+    "-" + "9" * 400,
+    "²",
+    "٣",
+    "1e999",
+    "NaN",
+    "[" * 200_000,
+    "null",
+    "[]",
+    "{}",
+    "\0",
+    "\u202e\x9b",
+)
+
+
+@pytest.mark.parametrize("lie", LIES, ids=[f"{lie[:2]!a} x {len(lie)}" for lie in LIES])
+def test_a_lie_is_no_traceback_whoever_reads_it(lie: str) -> None:
+    """In each section, in each column of `df`, in each value of JSON: what is made of it for people and programs too."""
+    for name in SECTIONS:
+        read_by_all(parse(answer(**{"docker": "28.0.4", name: lie})))
+    for columns in (f"{lie} 1 1 1 1 /", f"/dev/x {lie} 1 {lie} 1 /"):
+        read_by_all(parse(answer(disk=f"heading\n{columns}", **{"home disk": columns})))
+    for key, value in LINE.items():
+        for said in (lie, json.dumps(lie)):
+            line = json.dumps(LINE).replace(f'"{key}": {json.dumps(value)}', f'"{key}": {said}')
+            read_by_all(parse(answer(docker="28.0.4", containers=line)))
+
+
+def read_by_all(facts: Facts) -> None:
+    """Make all that is made of facts without asking the robot more."""
+    json_output.text(status.record(facts)).encode()
+    status.good(facts)
+    for row in status.rows("pi1", facts):
+        "".join(text for text, _ in row).encode()
+    status.events(facts)
+    delivery.encoding(facts)
+    pinned = PI.model_copy(update={"docker": PI.docker.model_copy(update={"version": "27.5.1"})})
+    with contextlib.suppress(NotReady):
+        steps.plan(robot=pinned, facts=facts, script=b"#", now=1.0, by="tim@desk")
+    with contextlib.suppress(NotReady):
+        daemon_json.steps(PI, facts)
+
+
+@given(st.text())
+def test_any_answer_is_no_traceback(said: str) -> None:
+    """The end of the answer may be in a banner, before the first section, or twice."""
+    read_by_all(parse(said))
+    read_by_all(parse(f"\n{MARK} {said}\n{MARK} end\n"))
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+        lambda inner: (
+            st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(sorted(LINE)), inner, max_size=12)
+        ),
+    )
+)
+def test_any_json_is_a_container_or_none(value: object) -> None:
+    """Docker prints `null` for labels that are not there, and a liar anything."""
+    read_by_all(parse(answer(docker="28.0.4", containers=json.dumps(value))))
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "count", "what"),
+    [
+        ("stacks", "stack {}", 201, "201 stacks"),
+        ("containers", '{{"name": "c", "stack": "{}"}}', 201, "201 stacks"),
+        ("containers", "{{}}", 2002, "lines about containers"),
+        ("images", "image {}", 60_000, "lines"),
+    ],
+)
+def test_more_than_any_robot_has_is_refused(name: str, line: str, count: int, what: str) -> None:
+    """A megabyte of short lines would be a gigabyte of facts."""
+    lines = "\n".join(line.format(number) for number in range(count))
+    with pytest.raises(NotAsPlanned, match=f"the robot's answer has .*{what}, which cannot be"):
+        parse(answer(docker="28.0.4", **{name: lines}))
+
+
+@pytest.mark.parametrize(
+    ("said", "members"), [("", None), ("docker:x:996:", ()), ("docker:x:996:pi", ("pi",))]
+)
+def test_no_docker_group_is_another_thing_than_an_empty_one(
+    said: str, members: tuple[str, ...] | None
+) -> None:
+    """Without Docker's package there is no group to put the login into."""
+    assert parse(answer(group=said)).docker.members == members
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,17 @@ def test_a_variable_without_a_value_stays_unset() -> None:
     assert node(release({"environment": {"A": None, "B": ""}}))["environment"] == {"B": ""}
 
 
+def test_the_environment_of_a_stack_is_in_its_compose_file_alone() -> None:
+    """No file of the release is one that a shell or Docker on the robot reads by itself, such as `.env`."""
+    names = ("PATH", "LD_PRELOAD", "DOCKER_HOST", "COMPOSE_FILE", "BASH_ENV", "IFS")
+    environment = dict.fromkeys(names, "only-the-stack's")
+    made = release({"environment": environment}, values=environment)
+    assert node(made)["environment"] == environment
+    files = made.files("/home/pi")
+    assert [name for name, file in files.items() if b"only-the-stack's" in file.data] == ["compose.yaml"]
+    assert set(files) == {"compose.yaml", "services", "data-folders"}
+
+
 def test_each_ingredient_changes_the_id() -> None:
     """Model, image, files, seeds, folders, a secret's value: none may change unseen."""
     other = replace(IMAGE, identity="linux/arm64\nlayer sha256:bb")

@@ -66,3 +66,13 @@ def test_a_login_that_runs_no_commands_is_told_so(sshds: Sshds) -> None:
     with pytest.raises(NotAsPlanned, match="the robot's shell did not run the probe: only git here"):
         link.facts()
     link.close()
+
+
+@pytest.mark.parametrize("where", ["", " >&2"], ids=["output", "errors"])
+def test_a_probe_that_never_ends_is_not_read_to_its_end(sshds: Sshds, where: str) -> None:
+    """A robot that lies, or a login script gone wild: it is told, and some megabytes are read."""
+    home = start(sshds, "pi1", before=f"yes{where}")
+    link = Link(home.robot)
+    with pytest.raises(NotAsPlanned, match=r"printed more than 1.0 MB"):
+        link.facts()
+    link.close()

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -9,6 +11,7 @@ import pytest
 
 from fleet.errors import FleetError, Unreachable
 from fleet.robot.facts import Facts
+from fleet.robot.probe import LONGEST, MARK
 from fleet.rollout import reconnect
 from fleet.rollout.link import Link
 from fleet.rollout.observe import keep_observing, observe, observe_one
@@ -80,3 +83,45 @@ def test_watching_follows_what_changes_and_survives_a_robot_that_goes(home: Home
     keep_observing([home.robot], seen, every=0.05, progress=Told())
     thread.join()
     assert told == [1, None]
+
+
+LIARS = """
+import resource, sys
+from pathlib import Path
+from fleet.config.inventory import Robot
+from fleet.rollout.observe import observe
+from fleet.rollout.progress import NoProgress
+port, user, key, known = sys.argv[1:]
+robots = [
+    Robot(name=f"pi{number}", address="127.0.0.1", port=int(port), user=user, identity_file=Path(key), known_hosts=Path(known))
+    for number in range(32)
+]
+seen = observe(robots, progress=NoProgress())
+print(len({type(what).__name__ for what in seen.values()}), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        "exec yes",
+        "exec yes >&2",
+        "exec cat /dev/zero",
+        "cat answer",
+    ],
+)
+def test_32_liars_at_once_are_no_matter(sshds: Sshds, lie: str) -> None:
+    """They print without end, or as much as is read of them: in letters that need much memory, of stacks and containers."""
+    lines = "".join(f"stack s{number}\nevent {chr(0x1F600)}{'x' * 900}\n" for number in range(190))
+    text = f"\n{MARK} stacks\n{lines}" + "event x\n" * 40_000
+    text += f"\n{MARK} daemon\n{chr(0x1F600) * ((LONGEST - len(text.encode()) - 100) // 4)}\n{MARK} end\n"
+    (sshds.folder / "answer").write_text(text)
+    server = sshds.start(options=(f"ForceCommand cd {sshds.folder} && {lie}",))
+    robot = server.robot()
+    words = (str(robot.port), str(robot.user), str(robot.identity_file), str(robot.known_hosts))
+    done = subprocess.run(
+        (sys.executable, "-c", LIARS, *words), capture_output=True, text=True, check=True, timeout=120
+    )
+    kinds, megabytes = map(int, done.stdout.split())
+    assert kinds == 1
+    assert megabytes < 300

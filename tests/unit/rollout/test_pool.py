@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import resource
 import signal
+import socket
 import threading
 import time
 from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import LinkLost
+from fleet.errors import DesktopError, LinkLost
 from fleet.plan.outcome import Outcome
 from fleet.rollout.pool import each
 from tests.support.homes import Told, start, statuses
@@ -74,6 +78,43 @@ def test_no_more_at_once_than_may_be() -> None:
 
     outcomes = each(robots("a", "b", "c", "d", "e", "f"), work, progress=Told(), at_once=3)
     assert (len(outcomes), most[0]) == (6, 3)
+
+
+def test_robots_that_do_not_answer_keep_no_others_waiting() -> None:
+    """Ten accept a connection and say nothing; those after them are done while they are waited for."""
+    with contextlib.ExitStack() as holes:
+        ports = [
+            holes.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1] for _ in range(10)
+        ]
+        silent = [
+            PI.model_copy(update={"name": f"hole{number}", "address": "127.0.0.1", "port": port})
+            for number, port in enumerate(ports)
+        ]
+
+        def work(link: Link) -> Outcome:
+            if link.robot.name.startswith("hole"):
+                link.run("true")
+            return done(link)
+
+        began, told = time.monotonic(), Told()
+        outcomes = each([*silent, *robots("a", "b")], work, progress=told, at_once=2, connect_timeout=3)
+    assert time.monotonic() - began < 12  # one after the other: 20
+    assert [outcome.robot for outcome in told.ended_with][:2] == ["a", "b"]
+    assert {outcome.status for outcome in outcomes[:10]} == {"unreachable"}
+
+
+def test_too_few_open_files_are_a_robots_failure_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other programs may have taken them meanwhile."""
+
+    def work(_: Link) -> Outcome:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    (outcome,) = each(robots("a"), work, progress=Told())
+    assert outcome.status == "failed"
+    assert "open files, which are too few" in outcome.reason
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (12, 12))
+    with pytest.raises(DesktopError, match="allows 12 open files"):
+        each(robots("a"), work, progress=Told())
 
 
 def test_nobody_to_work_for() -> None:

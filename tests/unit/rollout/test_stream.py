@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fleet.config.inventory import Robot, Ros
 from fleet.errors import NotReady
 from fleet.rollout import stream
-from fleet.rollout.stream import Lines
+from fleet.rollout.stream import LONGEST_LINE, Lines
 from tests.support.homes import Home, Told, start, statuses
 from tests.support.ros_peers import Peers, string_message
 from tests.support.sshd import free_port
@@ -78,6 +78,20 @@ def test_where_the_pieces_are_cut_does_not_matter(said: bytes, cuts: list[int]) 
         taker.on_output(said[begin:end])
     taker.end()
     assert pieces == whole
+
+
+@given(st.integers(0, 2 * LONGEST_LINE), st.lists(st.integers(0, 3 * LONGEST_LINE), max_size=5))
+def test_a_line_without_end_is_shown_in_parts(more: int, cuts: list[int]) -> None:
+    """Nothing is lost, wherever the network cuts, and no more than one part is kept."""
+    said, got = b"x" * (LONGEST_LINE + more), list[str]()
+    taker = Lines(got.append)
+    at = [0, *sorted(min(cut, len(said)) for cut in cuts), len(said)]
+    for begin, end in itertools.pairwise(at):
+        taker.on_output(said[begin:end])
+    taker.end()
+    assert "".join(got) == said.decode()
+    assert [len(part) for part in got[:-1]] == [LONGEST_LINE] * (len(got) - 1)
+    assert 0 < len(got[-1]) <= LONGEST_LINE
 
 
 def test_a_command_on_many_robots(sshds: Sshds, home: Home) -> None:

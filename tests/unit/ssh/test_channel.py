@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import LinkLost
-from fleet.ssh import connect
+from fleet.errors import LinkLost, NotAsPlanned, TimedOut
+from fleet.ssh import channel, connect
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,7 +55,7 @@ def test_a_stream_arrives_whole_and_in_flat_memory(session: Session) -> None:
 def test_much_output_is_taken_in_linear_time(session: Session) -> None:
     """64 MB, kept whole. The quadratic way takes minutes."""
     started = time.monotonic()
-    said = session.run(("head", "-c", "64M", "/dev/zero"))
+    said = session.run(("head", "-c", "64M", "/dev/zero"), keep=64 * MEGABYTE)
     assert len(said.output) == 64 * MEGABYTE
     assert time.monotonic() - started < 30
 
@@ -75,11 +75,46 @@ def test_much_output_for_a_hearer_is_not_kept(session: Session) -> None:
     assert peak() - before < 60
 
 
+@pytest.mark.parametrize("where", ["", " >&2"], ids=["output", "errors"])
+def test_a_robot_that_prints_without_end_is_not_read_on(session: Session, where: str) -> None:
+    """Some megabytes are read, not ten gigabytes; that is told, and the connection is over."""
+    before, started = peak(), time.monotonic()
+    with pytest.raises(NotAsPlanned, match=r"printed more than 4.0 MB, so it was not read any further"):
+        session.run(("sh", "-c", f"head -c 10G /dev/zero{where}"))
+    assert peak() - before < 40
+    assert time.monotonic() - started < 10
+    with pytest.raises(LinkLost):
+        session.run(("true",))
+
+
+def test_errors_are_heard_as_they_come(session: Session) -> None:
+    """Also when they never end: the output beside them is not forgotten, and the limit holds."""
+    count, heard = [0], list[bytes]()
+
+    def hear(data: bytes) -> None:
+        count[0] += len(data)
+
+    with pytest.raises(TimedOut):
+        session.run(
+            ("sh", "-c", "echo one; exec cat /dev/zero >&2"),
+            limit=1,
+            on_output=heard.append,
+            on_errors=hear,
+        )
+    assert heard == [b"one\n"]
+    assert count[0] > MEGABYTE
+
+
 def test_a_command_that_talks_while_it_is_fed_does_not_deadlock(session: Session) -> None:
     """Both directions are full at once: 32 MB in, 32 MB out on each of two ways out."""
     piece = os.urandom(MEGABYTE)
     heard: list[bytes] = []
-    said = session.run(("tee", "/dev/stderr"), feed=(piece for _ in range(32)), on_output=heard.append)
+    said = session.run(
+        ("tee", "/dev/stderr"),
+        feed=(piece for _ in range(32)),
+        on_output=heard.append,
+        keep=64 * MEGABYTE,
+    )
     assert b"".join(heard) == piece * 32
     assert len(said.errors) > 32 * MEGABYTE / 4
 
@@ -104,6 +139,35 @@ def test_a_command_that_takes_no_input_is_not_disturbed_by_it(session: Session) 
     script = "exec <&-; sleep 1; echo done"
     said = session.run(("sh", "-c", script), feed=(bytes(MEGABYTE) for _ in range(20)))
     assert (said.code, said.output) == (0, "done\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "command"), [("TAKES_WITHIN", "sleep 30"), ("ENDS_WITHIN", "cat; sleep 30")]
+)
+def test_a_robot_that_does_not_go_on_is_left(
+    session: Session, monkeypatch: pytest.MonkeyPatch, name: str, command: str
+) -> None:
+    """Its sshd answers, and its `docker load` never takes the next byte, or never ends."""
+    monkeypatch.setattr(channel, name, 0.5)
+    feed = (bytes(MEGABYTE) for _ in range(20))
+    started = time.monotonic()
+    with pytest.raises(TimedOut, match="does not go on with what it was sent"):
+        session.run(("sh", "-c", command), feed=feed, limit=None, on_output=lambda _: None)
+    assert time.monotonic() - started < 8
+
+
+def test_a_feed_that_waits_is_no_robot_that_does_not_go_on(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This computer packs a layer meanwhile: the robot has nothing to take."""
+    monkeypatch.setattr(channel, "TAKES_WITHIN", 0.5)
+
+    def feed() -> Iterator[bytes]:
+        yield b"one"
+        time.sleep(1.5)
+        yield b" two"
+
+    assert session.run(("cat",), feed=feed(), limit=None).output == "one two"
 
 
 def test_a_feed_that_fails_ends_the_connection(session: Session) -> None:

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import contextlib
 import getpass
 import os
+import resource
 import shutil
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -11,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.errors import LinkLost, Unreachable, UntrustedHostKey
+from fleet.errors import LinkLost, LoginRefused, Unreachable, UntrustedHostKey
 from fleet.ssh import connect
 from tests.support.sshd import known_line, make_key, public_key
 
@@ -52,6 +55,83 @@ def test_a_revoked_host_key_is_refused(sshds: Sshds, sshd: Sshd) -> None:
         file.write("@revoked " + known_line("*", sshd.host_keys["ed25519"]))
     with pytest.raises(UntrustedHostKey, match="revoked"):
         sshds.log_in(sshd)
+
+
+def test_a_host_key_that_the_configuration_revokes_is_refused(sshds: Sshds, sshd: Sshd) -> None:
+    """It is in known_hosts as well: OpenSSH refuses it, and so do we, also to record it."""
+    (sshds.folder / "revoked").write_text(known_line("", sshd.host_keys["ed25519"]).lstrip())
+    sshds.configure(f"Host *\n  RevokedHostKeys {sshds.folder}/revoked")
+    with pytest.raises(UntrustedHostKey, match=f"is revoked by {sshds.folder}/revoked"):
+        sshds.log_in(sshd)
+    with pytest.raises(UntrustedHostKey, match=f"is revoked by {sshds.folder}/revoked"):
+        connect.offered_key(sshd.robot(), config=sshds.config)
+
+
+def test_only_host_key_algorithms_of_the_configuration_are_accepted(sshds: Sshds) -> None:
+    """A person may trust some kinds of keys no more."""
+    server = sshds.start(host_keys=("ed25519", "rsa"))
+    sshds.configure("Host *\n  HostKeyAlgorithms rsa-sha2-512")
+    assert connect.offered_key(server.robot(), config=sshds.config)[1].kind == "ssh-rsa"
+    assert sshds.log_in(server) == "in\n"
+    sshds.configure("Host *\n  HostKeyAlgorithms ecdsa-sha2-nistp256")
+    with pytest.raises(Unreachable, match="broke off the key exchange"):
+        sshds.log_in(server)
+
+
+@pytest.mark.skipif(
+    subprocess.run(
+        ("ssh", "-G", "-o", "RequiredRSASize=3072", "pi1"), capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="OpenSSH has RequiredRSASize from 9.1 on",
+)
+def test_rsa_keys_that_are_too_short_for_the_configuration_are_refused(sshds: Sshds) -> None:
+    """The robot's and one's own; ssh-keygen makes 3072 bits."""
+    mine = make_key(sshds.folder / "mine", kind="rsa")
+    server = sshds.start(host_keys=("rsa",), options=(f"AuthorizedKeysFile {mine}.pub",))
+    sshds.configure("Host *\n  RequiredRSASize 3072")
+    assert sshds.log_in(server, identity=mine) == "in\n"
+    sshds.configure("Host *\n  RequiredRSASize 4096")
+    with pytest.raises(UntrustedHostKey, match="has 3072 bits, and RequiredRSASize is 4096"):
+        sshds.log_in(server, identity=mine)
+    other = sshds.start("other", options=(f"AuthorizedKeysFile {mine}.pub",))
+    with pytest.raises(
+        LoginRefused, match=r"mine cannot be used .it has 3072 bits, and RequiredRSASize is 4096"
+    ):
+        sshds.log_in(other, identity=mine)
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "why"),
+    [
+        (b"", b"x" * 65536, "sends no SSH banner"),
+        (b"x" * 100_000 + b"\n", b"x\n" * 30_000, "is not an SSH server: Indecipherable"),
+        (b"SSH-2.0-Liar\r\n\x7f\xff\xff\xfc", b"\x14" * 65536, "announced a packet of 2147483"),
+    ],
+    ids=["no banner", "many banners", "a packet of 2 GB"],
+)
+def test_a_device_that_is_no_robot_cannot_fill_our_memory(
+    sshds: Sshds, sshd: Sshd, first: bytes, then: bytes, why: str
+) -> None:
+    """It has proved nothing yet, and sends without end."""
+
+    def flood(listener: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                caller = listener.accept()[0]
+                with caller, contextlib.suppress(OSError):
+                    caller.sendall(first)
+                    while True:
+                        caller.sendall(then)
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=flood, args=(listener,), daemon=True).start()
+        liar = sshd.robot().model_copy(update={"port": listener.getsockname()[1]})
+        with pytest.raises(Unreachable, match=why) as refused:
+            connect.connect(liar, connect_timeout=3, config=sshds.config)
+    assert len(refused.value.what) < 600
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ecdsa", "ed25519"])

@@ -142,3 +142,29 @@ def test_a_key_file_that_cannot_be_read_is_told(sshds: Sshds, sshd: Sshd, name: 
     (sshds.folder / "garbage").write_text("garbage\n")
     with pytest.raises(LoginRefused, match=f"{name} cannot be used.*{why}|{name} {why}"):
         sshds.log_in(sshd, identity=sshds.folder / name)
+
+
+def test_a_private_key_that_others_can_read_is_not_used(sshds: Sshds, sshd: Sshd) -> None:
+    """The server would take it; OpenSSH does not offer it, and the cure can be pasted."""
+    sshd.identity.chmod(0o644)
+    with pytest.raises(
+        LoginRefused, match=r"id cannot be used .its mode 0644 lets others read it"
+    ) as refused:
+        sshds.log_in(sshd)
+    assert refused.value.cure == f"chmod 600 {sshd.identity}"
+    asked = ("ssh", "-F", sshds.config, "-o", "BatchMode=yes", "-o", "StrictHostKeyChecking=no")
+    there = ("-i", sshd.identity, "-p", str(sshd.port), "127.0.0.1", "true")
+    assert subprocess.run((*asked, *there), capture_output=True, check=False).returncode == 255
+    sshd.identity.chmod(0o600)
+    assert sshds.log_in(sshd) == "in\n"
+
+
+def test_the_next_key_is_tried_after_one_that_others_can_read(sshds: Sshds) -> None:
+    """As with OpenSSH."""
+    open_key, good = make_key(sshds.folder / "open"), make_key(sshds.folder / "good")
+    open_key.chmod(0o666)
+    server = sshds.start(options=(f"AuthorizedKeysFile {good}.pub",))
+    sshds.configure(
+        f"Host robot\n HostName 127.0.0.1\n Port {server.port}\n IdentityFile {open_key}\n IdentityFile {good}"
+    )
+    connect.connect(server.robot(address="robot"), config=sshds.config).close()

@@ -13,6 +13,7 @@ import pytest
 from fleet.config.inventory import Robot
 from fleet.errors import DesktopError, Unreachable
 from fleet.ssh import openssh_config
+from fleet.ssh.connect import CONNECT_TIMEOUT, LINK_TIMEOUT
 
 if TYPE_CHECKING:
     from fleet.ssh.openssh_config import Destination
@@ -76,6 +77,7 @@ def test_every_keyword_that_matters_is_followed(config: Path, tmp_path: Path) ->
         f"  IdentityFile {tmp_path}/%n_key\n  IdentityFile {tmp_path}/%h_%r\n  IdentityFile none\n"
         f'  IdentityFile "{tmp_path}/a b"\n  IdentitiesOnly yes\n  IdentityAgent ~/agent-%u\n'
         f'  UserKnownHostsFile "{tmp_path}/my hosts" ~/hosts\n  GlobalKnownHostsFile /etc/hosts-of-robots\n'
+        f'  RevokedHostKeys "{tmp_path}/%h revoked"\n  HostKeyAlgorithms ssh-ed25519,rsa-sha2-512\n'
     )
     found = resolve(config, f"Include {tmp_path}/included\n")
     assert (found.host, found.port, found.user, found.known_as) == ("10.0.0.9", 2200, "me", "the-leg")
@@ -83,6 +85,8 @@ def test_every_keyword_that_matters_is_followed(config: Path, tmp_path: Path) ->
     assert found.only_named
     assert found.agent == f"{HOME}/agent-{getpass.getuser()}"
     assert found.known_hosts == (tmp_path / "my hosts", HOME / "hosts", Path("/etc/hosts-of-robots"))
+    assert found.revoked == (tmp_path / "10.0.0.9 revoked",)
+    assert found.host_key_algorithms == ("ssh-ed25519", "rsa-sha2-512")
 
 
 @pytest.mark.parametrize(
@@ -182,6 +186,10 @@ def test_login_is_what_a_person_would_type(tmp_path: Path) -> None:
     values = dict(line.split(" ", 1) for line in said.splitlines() if " " in line)
     assert values["userknownhostsfile"].startswith(f"{tmp_path}/a b% {HOME}/.ssh/known_hosts")
     assert (values["stricthostkeychecking"], values["user"], values["port"]) == ("true", "pi", "2222")
+    # A dead link is noticed, about as soon as by the other verbs.
+    seconds = int(values["serveraliveinterval"]) * int(values["serveralivecountmax"])
+    assert abs(seconds - LINK_TIMEOUT) < 5
+    assert int(values["connecttimeout"]) == CONNECT_TIMEOUT
 
 
 @pytest.mark.parametrize(

@@ -171,6 +171,26 @@ def test_what_somebody_spoiled_in_between_is_made_again(tmp_path: Path, spoil: o
     assert desk.exports == 2
 
 
+def flip(path: Path) -> None:
+    """Change a bit in the middle of a file: its length and its name stay."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_layer_that_is_damaged_is_made_again_before_it_is_sent(tmp_path: Path) -> None:
+    """A robot would find it out only when it has it; each run looks at each file once."""
+    desk = Desk(tmp_path, TALKER)
+    first = desk.cache.pack(TALKER.image, TALKER.diff_ids, "gzip")
+    flip(desk.folder / first[digest(BASE)].hex)
+    assert desk.another().pack(TALKER.image, TALKER.diff_ids, "gzip") == first
+    assert desk.content(first[digest(BASE)]) == packed(BASE)[1]
+    assert desk.exports == 2
+    flip(desk.folder / first[digest(CODE)].hex)
+    with desk.another().unpacked(digest(CODE)) as found:
+        assert found is None
+
+
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"digest": 1}', "\xff"])
 @pytest.mark.parametrize("name", ["names", f"{digest(BASE)[7:]}.gzip.json"])
 def test_notes_that_are_none_are_written_again(tmp_path: Path, name: str, text: str) -> None:

@@ -1,17 +1,21 @@
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import threading
 from typing import IO
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from fleet.errors import DesktopError
+from fleet.errors import DesktopError, NotAsPlanned, TimedOut
 from fleet.plan.step import Upload, UploadBatch
 from fleet.rollout.apply import InteractiveFeed
+from fleet.transfer import upload_server
 from fleet.transfer.rate_limit import RateLimiter
-from fleet.transfer.upload_server import CHUNK, UploadServer
+from fleet.transfer.upload_server import ASKS_AT_MOST, CHUNK, UploadServer
 
 SKELETON, LAYER = b"the skeleton", b"a layer " * 30_000
 NAMES = tuple(hashlib.sha256(data).hexdigest() for data in (SKELETON, LAYER))
@@ -76,15 +80,68 @@ def need(number: int, offset: int) -> bytes:
         ((), b""),
         ((b"Welcome to pi1\n", need(0, 0)), SKELETON),
         ((b"\xff\xfe\n\n", need(0, 0)), SKELETON),
-        ((b"need " + b"0" * 64 + b" 0\n", need(0, 0)), SKELETON),
-        ((f"need {NAMES[0]} -1\nneed {NAMES[0]}\nneed {NAMES[0]} 1 2\n".encode(), need(0, 0)), SKELETON),
+        ((b"need to update\nneed more 2\n" + b"x" * 100_000, b"\n", need(0, 0)), SKELETON),
     ],
 )
 def test_what_is_asked_for_is_sent(output: tuple[bytes, ...], sent: bytes) -> None:
-    """From the byte that the robot names, until it has enough; other lines and unknown digests are ignored."""
+    """From the byte that the robot names, until it has enough; other lines are ignored."""
     desk = Desk()
     assert desk.answers(*output) == sent
     assert desk.server.sent == len(sent)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"need {'0' * 64} 0",
+        f"need {NAMES[0]} {len(SKELETON) + 1}",
+        f"need {NAMES[0]} {1 << 70}",
+        f"need {NAMES[0]} {'9' * 5000}",
+        f"need {NAMES[0]} ²",
+        f"need {NAMES[0]} ٣",
+        f"need {NAMES[0]} -1",
+        f"need {NAMES[0]}",
+        f"need {NAMES[0]} 1 2",
+    ],
+    ids=lambda line: line[60:90],
+)
+def test_bytes_that_were_not_offered_are_refused(line: str) -> None:
+    """An unknown upload, or a place where it has no byte: the robot would wait for ever for what cannot come."""
+    with pytest.raises(NotAsPlanned, match="asks for bytes that it was not offered"):
+        Desk().server.on_output(f"{line}\n".encode())
+
+
+def test_requests_without_end_are_refused() -> None:
+    """Each is a good one, and together they are a gigabyte."""
+    desk = Desk()
+    for _ in range(ASKS_AT_MOST):
+        desk.server.on_output(need(1, 0))
+    with pytest.raises(NotAsPlanned, match="again and again"):
+        desk.server.on_output(need(1, 0) * 1_000_000)
+
+
+def test_a_robot_that_asks_for_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It talks, its link is alive, and it would keep the ship for ever."""
+    monkeypatch.setattr(upload_server, "ASKS_WITHIN", 0.2)
+    desk = Desk()
+    for _ in range(3):
+        desk.server.on_output(b"hello\nwait for ann@desk\n")
+    with pytest.raises(TimedOut, match="asked for nothing for 0 s"):
+        list(desk.server)
+
+
+def test_notes_without_end_are_not_shown() -> None:
+    """The terminal is not the robot's."""
+    desk = Desk()
+    desk.server.on_output(b"wait for ann@desk\n" * 1000)
+    assert len(desk.notes) == 20
+
+
+@given(st.lists(st.binary() | st.sampled_from([need(0, 0), need(1, 0), b"enough\n", b"need "])))
+def test_any_output_of_a_robot_is_no_traceback(output: list[bytes]) -> None:
+    """It is answered, or refused."""
+    with contextlib.suppress(NotAsPlanned):
+        Desk().answers(*output)
 
 
 def test_an_upload_is_requested_after_another_was_sent() -> None:
