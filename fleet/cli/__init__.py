@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from fleet.cli import deploy, lab, observe, overview, verb
+from fleet.cli import deploy, lab, observe, overview, project, verb
 
 
 @verb.verb(name="help", looks=True)
@@ -14,7 +14,7 @@ def help_() -> None:
     sys.stdout.write(_overview())
 
 
-ns = verb.collection((*observe.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS)
+ns = verb.collection((*project.VERBS, *observe.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS)
 
 
 def main() -> None:

@@ -155,6 +155,15 @@ class Screen:
         prompt = _text(f"{question} [y/N] ")
         return sys.stdin.isatty() and self.err.input(prompt).strip().lower() in ("y", "yes")
 
+    def ask(self, question: str, *, default: str) -> str:
+        """Ask for a line of text. An empty line, and no terminal, mean the default."""
+        if not sys.stdin.isatty():
+            return default
+        try:
+            return self.err.input(_text(f"{question} ")).strip() or default
+        except EOFError:
+            return default
+
     def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
         """Print the outcomes, and return the exit code."""
         if json:

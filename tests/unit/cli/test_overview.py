@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tests.support.project import Project
 
 SHOWN = [
-    "Set up\n  inventory         Show each robot",
+    "Set up\n  init              Write the files",
     "\nShip\n  build  ",
     "\nLook\n  status  ",
     "\nLab: virtual robots on this computer\n  lab.up  ",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import deploy, lab, observe
+from fleet.cli import deploy, lab, observe, project
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    "remove",
+    *("init", "remove"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
 }
 
@@ -69,7 +69,7 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (deploy, observe, lab)
+    modules = (deploy, observe, lab, project)
     assert (
         sum(len(module.VERBS) for module in modules) + len(("help",)) == len(VERBS) == len(cli.ns.task_names)
     )
@@ -168,6 +168,7 @@ def test_what_is_piped_has_no_escape_codes(mine: Project) -> None:
         ("start", "--dry"),
         ("--dry", "stop"),
         ("trust", "--dry", "--yes"),
+        ("init", "--dry", "--yes"),
         ("rollback", "--to", "x", "--dry"),
         ("build", "--dry"),
         ("shell", "--hosts", "pi1", "--dry"),
