@@ -136,5 +136,7 @@ def test_a_failed_bootstrap_says_why_and_leaves_nothing(
 def test_a_foreign_base_needs_emulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Said before mmdebstrap starts, which would fail half a minute later."""
     monkeypatch.setattr("fleet.images.debian_base.runs", lambda _platform: False)
-    with pytest.raises(DesktopError, match=r"cannot run linux/arm64 programs.*; install the packages qemu-user-static"):
+    with pytest.raises(
+        DesktopError, match=r"cannot run linux/arm64 programs.*; install the packages qemu-user-static"
+    ):
         bootstrap(Base(suite="trixie", platform="linux/arm64"), tmp_path / "rootfs.tar")
