@@ -13,6 +13,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+from dataclasses import dataclass
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,15 @@ HELP = {
     "stack": "only this stack, by its Compose project name; default: all of the robots' stacks",
     "inventory": "the inventory file; default: $FLEET_INVENTORY, or the nearest inventory.yaml",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flag:
+    """A flag of a verb: whether a value follows it, and its help."""
+
+    takes_value: bool
+    text: str
+
 
 _NO_EFFECT = {
     "command-timeout": "`fab run --limit SECONDS -- COMMAND` limits a command",
@@ -82,7 +92,9 @@ def verb(
         guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         known = {name: text for name, text in HELP.items() if name in signature.parameters}
         flags = {**known, **(texts or {})}
-        return task(name=name, auto_shortflags=False, positional=[], help=flags)(guarded)
+        made = task(name=name, auto_shortflags=False, positional=[], help=flags)(guarded)
+        made.texts = flags  # Invoke 2 forgets a flag's help when it has read it once
+        return made
 
     return make
 
@@ -161,6 +173,19 @@ def summaries(verbs: Collection) -> dict[str, str]:
     return {name: (verbs[name].__doc__ or "").partition("\n")[0] for name in verbs.task_names}
 
 
+def flags(verbs: Collection) -> dict[str, dict[str, Flag]]:
+    """Return the flags of each verb, as they are typed."""
+    return {
+        name: {
+            f"--{flag.names[0]}": Flag(
+                takes_value=flag.takes_value, text=verbs[name].texts.get(flag.name, "")
+            )
+            for flag in verbs[name].get_arguments()
+        }
+        for name in verbs.task_names
+    }
+
+
 class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
     """Fabric's program, with our page in place of its flags."""
 
@@ -173,8 +198,14 @@ class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
         sys.stdout.write(self._overview())
 
 
-def main(verbs: Collection, *, overview: Callable[[], str]) -> None:
-    """Run the verbs as a program of their own, without a fabfile."""
+def main(verbs: Collection, *, overview: Callable[[], str], words: Mapping[str, str] | None = None) -> None:
+    """Run the verbs as a program of their own, without a fabfile.
+
+    ``words`` names the verbs that take a word without a flag, and the flag that it stands for.
+    """
+    argv, words = list(sys.argv), words or {}
+    if len(argv) > 2 and argv[1] in words and not argv[2].startswith("-"):
+        argv.insert(2, words[argv[1]])
     program = _Program(
         overview,
         name="fleet",
@@ -186,7 +217,7 @@ def main(verbs: Collection, *, overview: Callable[[], str]) -> None:
     )
     try:
         try:
-            program.run()  # which ends with SystemExit
+            program.run(argv)  # which ends with SystemExit
         finally:
             sys.stdout.flush()
     except BrokenPipeError:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    *("init", "remove"),
+    *("init", "completion", "remove"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
 }
 
@@ -59,7 +59,8 @@ def test_each_flag_has_help(mine: Project) -> None:
 
 
 @pytest.mark.parametrize(
-    "verb", sorted(VERBS - {"inventory", "status", "history", "logs", "listen", "lab.list", "help"})
+    "verb",
+    sorted(VERBS - {"inventory", "status", "history", "logs", "listen", "lab.list", "help", "completion"}),
 )
 def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
     """The lab's are refused with --dry, all others show what they would do."""
@@ -71,7 +72,9 @@ def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
     modules = (deploy, observe, lab, project)
     assert (
-        sum(len(module.VERBS) for module in modules) + len(("help",)) == len(VERBS) == len(cli.ns.task_names)
+        sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
+        == len(VERBS)
+        == len(cli.ns.task_names)
     )
 
 
