@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from fleet.cli import completions, console, deploy, lab, observe, overview, project, verb
+from fleet.cli import build, completions, console, deploy, lab, observe, overview, project, verb
 
 
 @verb.verb(name="help", looks=True)
@@ -43,7 +43,7 @@ def completion(shell: str = "", install: bool = False, names: str = "", inventor
 
 
 ns = verb.collection(
-    (completion, *project.VERBS, *observe.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS
+    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS
 )
 
 

@@ -231,6 +231,9 @@ class Lines:
         """See `fleet.rollout.progress.Progress`."""
         self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
 
+    def ended(self, name: str) -> None:
+        """Forget a name whose work has no outcome of a robot."""
+
 
 class WhereBytesFlow(ProgressColumn):
     """A column that stays empty for steps that send nothing."""
@@ -295,6 +298,11 @@ class Bars:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(outcome.robot)
+
+    def ended(self, name: str) -> None:
+        """Remove the line of a name whose work has no outcome of a robot."""
+        with self._lock:
+            self._drop(name)
 
     def _drop(self, robot: str) -> None:
         task = self._tasks.pop(robot, None)

@@ -31,7 +31,7 @@ PURE = {
     *("errors", "platforms", "terminal", "units"),
     *("diagnosis.explain", "diagnosis.known_errors"),
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
-    *("images.chunks", "images.image", "images.layer"),
+    *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("ros.environment", "ros.rosmsg"),
     *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import deploy, lab, observe, project
+from fleet.cli import build, deploy, lab, observe, project
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (deploy, observe, lab, project)
+    modules = (build, deploy, observe, lab, project)
     assert (
         sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
         == len(VERBS)

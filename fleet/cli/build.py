@@ -1,0 +1,109 @@
+"""Which verb makes images? ``fab build``."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from fleet.cli.console import Screen
+from fleet.cli.selection import select
+from fleet.cli.stacks import Stacks, images_of
+from fleet.cli.verb import verb
+from fleet.errors import UsageError
+from fleet.images import build as builds
+from fleet.images import builder
+from fleet.images.docker_cli import buildkit_client
+from fleet.images.store import Store
+from fleet.platforms import NAMES as PLATFORMS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from fleet.cli.console import AnyProgress
+    from fleet.cli.stacks import RobotStack
+    from fleet.config.compose import Project
+    from fleet.config.inventory import Robot
+
+
+@verb(
+    {
+        "no_cache": "build every step again",
+        "pull": "ask registries for newer base images",
+        "platform": f"build for this platform, not the robots' own: {', '.join(PLATFORMS)}",
+    }
+)
+def build(
+    hosts: str = "all",
+    no_cache: bool = False,
+    pull: bool = False,
+    platform: str = "",
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+    stack: str = "",
+) -> None:
+    """Build the stacks' images for the robots' platforms.
+
+    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled. What `build:` says
+    in the Compose file becomes the flags of `docker build`. The output of each image's last build is kept in
+    ~/.cache/fleet/builds. If a step fails, its last lines are shown.
+    """
+    robots, screen = _for_platform(select(inventory, hosts)[1], platform), Screen()
+    with Stacks(variables=_variables) as stacks:
+        found = stacks.of(robots, only=stack)
+        wanted = [(robot, one) for robot in robots for one in found[robot.name]]
+        flags = ["--no-cache"] * no_cache + ["--pull"] * pull
+        commands = _commands(wanted, flags)
+        if dry:
+            screen.json(commands) if json else screen.lines(builds.lines(commands))
+            return
+        _make(commands, screen)
+        with Store() as store:
+            images = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
+        screen.images(list({image.reference: image for image in images}.values()), json=json)
+
+
+def _for_platform(robots: Sequence[Robot], platform: str) -> Sequence[Robot]:
+    if not platform:
+        return robots
+    if platform not in PLATFORMS:
+        raise UsageError(f"there is no platform {platform}", cure=f"there are: {', '.join(PLATFORMS)}")
+    return [robot.model_copy(update={"platform": platform}) for robot in robots]
+
+
+def _variables(project: Project, robot: Robot) -> dict[str, str]:
+    return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
+
+
+def _commands(wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str]) -> list[builds.Command]:
+    """What has to be run for all robots, each once."""
+    client = buildkit_client()
+    commands: list[builds.Command] = []
+    for robot, one in wanted:
+        needs = builds.bases(one.project, robot.platform).values()
+        # The Debian bases that fleet makes are in no registry, where --pull would look for them.
+        useful = [flag for flag in flags if not (needs and flag == "--pull")]
+        made = builds.plan(
+            one.stack, one.project, platform=robot.platform, client=client, needs=needs, flags=useful
+        )
+        commands += [command for command in made if command not in commands]
+    return commands
+
+
+def _make(commands: Iterable[builds.Command], screen: Screen) -> None:
+    """Run the commands one after the other, with a line for each."""
+    with screen.progress() as progress:
+        for command in commands:
+            name = command.reference
+            built = builder.run(
+                command, on_note=partial(progress.note, name), on_step=partial(_step, progress, name)
+            )
+            progress.ended(name)
+            progress.note(name, str(built))
+
+
+def _step(progress: AnyProgress, name: str, title: str) -> None:
+    progress.step_started(name, title, None)
+
+
+VERBS = (build,)
