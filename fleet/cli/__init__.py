@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
-from fleet.cli import build, completions, console, deploy, lab, observe, overview, project, verb
+from fleet.cli import (
+    build,
+    completions,
+    console,
+    deploy,
+    lab,
+    observe,
+    overview,
+    program,
+    project,
+    selection,
+    verb,
+)
 
 
 @verb.verb(name="help", looks=True)
@@ -53,4 +64,4 @@ def main() -> None:
 
 
 def _overview() -> str:
-    return overview.page(verb.summaries(ns), program=Path(sys.argv[0]).name)
+    return overview.page(verb.summaries(ns), program=program.name(), new=not selection.found())

@@ -27,7 +27,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fleet import terminal
-from fleet.cli import json_output
+from fleet.cli import json_output, program
 from fleet.plan.describe import details, headline, lines
 from fleet.plan.outcome import exit_code
 from fleet.units import human_bytes, human_seconds
@@ -123,7 +123,7 @@ class Screen:
             )
             self.out.print(text, soft_wrap=True)
             for detail in details(outcome):
-                self.out.print(_text(f"{'':{width}}  {detail}"), soft_wrap=True)
+                self.out.print(_text(program.typed(f"{'':{width}}  {detail}")), soft_wrap=True)
         counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
 
@@ -132,7 +132,7 @@ class Screen:
         bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
         for outcome in bad:
             for text in (f"{outcome.robot}: {headline(outcome)}", *details(outcome)):
-                self.err.print(_text(text), soft_wrap=True)
+                self.err.print(_text(program.typed(text)), soft_wrap=True)
         return exit_code(tuple(bad))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:

@@ -33,6 +33,11 @@ def load(inventory: str) -> Inventory:
     return inventories.load(_file(inventory or os.environ.get("FLEET_INVENTORY", "")))
 
 
+def found() -> bool:
+    """Whether there is an inventory for a verb without ``--inventory``."""
+    return _file(os.environ.get("FLEET_INVENTORY", "")).exists()
+
+
 def _file(named: str) -> Path:
     """Return the file that was named, or the nearest ``inventory.yaml`` from here upwards: ``fab`` works in subfolders."""
     if named:

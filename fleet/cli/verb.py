@@ -24,6 +24,7 @@ from invoke.collection import Collection
 from invoke.exceptions import Exit
 
 from fleet import __version__
+from fleet.cli import program
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
         sys.stdout.flush()
     except FleetError as problem:
         cure = f"\n  cure: {problem.cure}" if problem.cure else ""
-        raise Exit(f"{problem.what}{cure}", code=problem.exit_code) from None
+        raise Exit(program.typed(f"{problem.what}{cure}"), code=problem.exit_code) from None
     except BrokenPipeError:
         _discard_output()
         code = 0
@@ -133,7 +134,8 @@ def _discard_output() -> None:
 
 
 def _misplaced(tasks: str, names: str) -> Exit:
-    return Exit(f"--hosts comes after the task: fab {tasks.replace('_', '-')} --hosts {names}", code=2)
+    text = f"--hosts comes after the task: fab {tasks.replace('_', '-')} --hosts {names}"
+    return Exit(program.typed(text), code=2)
 
 
 class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotations
@@ -146,12 +148,13 @@ class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotatio
             raise _misplaced(" ".join(str(call.called_as or "VERB") for call in calls), names)
         for flag, instead in _NO_EFFECT.items():
             if typed[flag].got_value:
-                raise Exit(f"--{flag} has no effect here: {instead}", code=2)
+                raise Exit(program.typed(f"--{flag} has no effect here: {instead}"), code=2)
         command, self.core.remainder = self.core.remainder, ""
         expanded: list[Any] = super().expand_calls(calls, apply_hosts)
         if command:
             if not expanded or "command" not in inspect.signature(expanded[-1].task.body).parameters:
-                raise Exit("only `run` takes a command after `--`: fab run --hosts NAMES -- COMMAND", code=2)
+                text = "only `run` takes a command after `--`: fab run --hosts NAMES -- COMMAND"
+                raise Exit(program.typed(text), code=2)
             expanded[-1].kwargs["command"] = command
         return expanded
 
@@ -206,7 +209,7 @@ def main(verbs: Collection, *, overview: Callable[[], str], words: Mapping[str, 
     argv, words = list(sys.argv), words or {}
     if len(argv) > 2 and argv[1] in words and not argv[2].startswith("-"):
         argv.insert(2, words[argv[1]])
-    program = _Program(
+    runner = _Program(
         overview,
         name="fleet",
         binary="fleet",
@@ -217,7 +220,7 @@ def main(verbs: Collection, *, overview: Callable[[], str], words: Mapping[str, 
     )
     try:
         try:
-            program.run(argv)  # which ends with SystemExit
+            runner.run(argv)  # which ends with SystemExit
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
