@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 from fleet.cli.console import Screen
@@ -57,7 +56,8 @@ def build(
         if dry:
             screen.json(commands) if json else screen.lines(builds.lines(commands))
             return
-        _make(commands, screen)
+        with screen.progress() as progress:
+            builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
         with Store() as store:
             images = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
         screen.images(list({image.reference: image for image in images}.values()), json=json)
@@ -90,20 +90,24 @@ def _commands(wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str]) 
     return commands
 
 
-def _make(commands: Iterable[builds.Command], screen: Screen) -> None:
-    """Run the commands one after the other, with a line for each."""
-    with screen.progress() as progress:
-        for command in commands:
-            name = command.reference
-            built = builder.run(
-                command, on_note=partial(progress.note, name), on_step=partial(_step, progress, name)
-            )
-            progress.ended(name)
-            progress.note(name, str(built))
+class _Watcher:
+    """Shows how builds go: a moving line for each image, or a line when it ends."""
 
+    def __init__(self, progress: AnyProgress) -> None:
+        self._progress = progress
 
-def _step(progress: AnyProgress, name: str, title: str) -> None:
-    progress.step_started(name, title, None)
+    def note(self, name: str, text: str) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.note(name, text)
+
+    def step(self, name: str, title: str) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.step_started(name, title, None)
+
+    def built(self, name: str, built: builder.Built) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.ended(name)
+        self._progress.note(name, str(built))
 
 
 VERBS = (build,)

@@ -6,10 +6,13 @@ import os
 import re
 import subprocess
 import tempfile
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Protocol
 
 from fleet.errors import DesktopError
 from fleet.images import debian_base
@@ -17,9 +20,13 @@ from fleet.images.build_log import BuildLog
 from fleet.units import human_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from fleet.images.build import Command
+
+
+MEMORY_OF_A_BUILD = 2 * 10**9
+"""Bytes that a build may need: a compiler or two, emulated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,21 +47,72 @@ def logs() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "builds"
 
 
-def run(
-    command: Command,
-    *,
-    on_note: Callable[[str], None],
-    on_step: Callable[[str], None],
-    folder: Path | None = None,
-) -> Built:
-    """Run one command, its bases first. ``on_step`` hears the title of each step that is not cached.
+class Watcher(Protocol):
+    """Hears how builds go; called from many threads. ``name`` is the image's."""
+
+    def note(self, name: str, text: str) -> None:
+        """Something that is not a step."""
+
+    def step(self, name: str, title: str) -> None:
+        """The title of a step that works: one that is not cached."""
+
+    def built(self, name: str, built: Built) -> None:
+        """A command ended well."""
+
+
+def run_all(
+    commands: Sequence[Command], *, watcher: Watcher, memory: int, folder: Path | None = None
+) -> None:
+    """Run commands, those for different images side by side as far as ``memory`` (bytes that are free) allows.
+
+    Raises:
+        DesktopError: the first one that failed; those that had begun are ended first.
+
+    """
+    for base in dict.fromkeys(base for command in commands for base in command.bases):
+        debian_base.ensure(base.suite, base.platform, say=partial(watcher.note, base.tag))
+    images: dict[str, list[Command]] = {}
+    for command in commands:
+        images.setdefault(command.reference, []).append(command)
+    failed = threading.Event()
+
+    def make(image: Sequence[Command]) -> None:
+        for command in image:
+            if failed.is_set():
+                return
+            try:
+                built = run(command, on_step=partial(watcher.step, command.reference), folder=folder)
+            except BaseException:
+                failed.set()
+                raise
+            watcher.built(command.reference, built)
+
+    with ThreadPoolExecutor(at_once(len(images), memory=memory)) as pool:
+        for work in [pool.submit(make, image) for image in images.values()]:
+            work.result()
+
+
+def at_once(images: int, *, memory: int) -> int:
+    """Return how many builds run side by side: one for each processor, and for each 2 GB of free memory."""
+    return max(1, min(images, os.cpu_count() or 1, memory // MEMORY_OF_A_BUILD))
+
+
+def free_memory(meminfo: Path = Path("/proc/meminfo")) -> int:
+    """Return the memory that is free on this computer, in bytes; 0 if it is not known."""
+    try:
+        found = re.search(r"^MemAvailable: +(\d+) kB$", meminfo.read_text(), re.MULTILINE)
+    except OSError:
+        return 0
+    return int(found[1]) * 1024 if found else 0
+
+
+def run(command: Command, *, on_step: Callable[[str], None], folder: Path | None = None) -> Built:
+    """Run one command; its bases are there. ``on_step`` hears the title of each step that is not cached.
 
     Raises:
         DesktopError: it failed; with the failing step's last lines and the place of the whole output.
 
     """
-    for base in command.bases:
-        debian_base.ensure(base.suite, base.platform, say=on_note)
     began, said = time.monotonic(), BuildLog()
     log = (folder or logs()) / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', command.reference)}.log"
     on_step(command.title.replace(f" {command.reference}", ""))

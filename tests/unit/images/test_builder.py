@@ -23,8 +23,7 @@ def run(folder: Path, *argv: str, feed: str = "") -> tuple[builder.Built, list[s
         platform="linux/arm64",
         feed=feed,
     )
-    built = builder.run(command, on_note=steps.append, on_step=steps.append, folder=folder)
-    return built, steps
+    return builder.run(command, on_step=steps.append, folder=folder), steps
 
 
 def test_a_build_is_quiet_and_its_output_is_kept(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -73,3 +72,65 @@ def test_what_cannot_be_run_or_kept_is_a_sentence(tmp_path: Path, monkeypatch: p
         run(tmp_path / "file", "true")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert builder.logs() == tmp_path / "fleet/builds"
+
+
+class Heard:
+    """A watcher that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.steps: list[str] = []
+        self.ended: list[str] = []
+
+    def note(self, name: str, text: str) -> None:
+        """See `builder.Watcher`."""
+
+    def step(self, name: str, title: str) -> None:
+        """See `builder.Watcher`."""
+        self.steps.append(f"{name} {title}")
+
+    def built(self, name: str, built: builder.Built) -> None:
+        """See `builder.Watcher`."""
+        self.ended.append(f"{name} {built.summary}")
+
+
+def command(reference: str, script: str, *, title: str = "build it") -> Command:
+    return Command(title=title, argv=("sh", "-c", script), reference=reference, platform="linux/arm64")
+
+
+def test_images_are_built_side_by_side_if_memory_allows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each waits for the other here; one after the other, neither would end."""
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    meet = "touch {0}; for _ in $(seq 100); do [ -e {1} ] && exit 0; sleep 0.1; done; exit 1"
+    a, b = tmp_path / "a", tmp_path / "b"
+    both = [command("a", meet.format(a, b)), command("b", meet.format(b, a))]
+    heard = Heard()
+    builder.run_all(both, watcher=heard, memory=2 * builder.MEMORY_OF_A_BUILD, folder=tmp_path / "logs")
+    assert sorted(heard.ended) == ["a build", "b build"]
+
+
+def test_commands_of_one_image_keep_their_order(tmp_path: Path) -> None:
+    """It is pulled, and then named; after a failure nothing more begins."""
+    heard = Heard()
+    pull = [command("a", "sleep 0.1", title="pull x"), command("a", "true", title="name it a")]
+    builder.run_all(pull, watcher=heard, memory=10**12, folder=tmp_path)
+    assert heard.ended == ["a pull", "a name"]
+    fails = [command("a", "exit 1"), command("a", "true"), command("b", "true")]
+    with pytest.raises(DesktopError, match="build it failed"):
+        builder.run_all(fails, watcher=heard, memory=0, folder=tmp_path)
+    assert heard.ended == ["a pull", "a name"]
+
+
+def test_how_many_builds_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as images, processors and memory allow, and always one."""
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    one = builder.MEMORY_OF_A_BUILD
+    found = [
+        builder.at_once(images, memory=memory) for images, memory in ((3, 9 * one), (9, 9 * one), (9, one))
+    ]
+    assert found == [3, 4, 1]
+    assert builder.at_once(9, memory=0) == 1
+    (tmp_path / "meminfo").write_text("MemTotal:       8000 kB\nMemAvailable:   4000 kB\n")
+    assert builder.free_memory(tmp_path / "meminfo") == 4096000
+    assert builder.free_memory(tmp_path / "none") == 0
