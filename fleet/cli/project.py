@@ -98,7 +98,7 @@ def _own(typed: Mapping[str, str], folder: Path) -> tuple[dict[str, File], tuple
         distro=typed["distro"],
     )
     project.check(request)
-    there = sorted(path.name for path in folder.iterdir())
+    there = [path.as_posix() for pattern in ("*", "*/*") for path in folder.glob(pattern)]
     draft = project.draft(request, packages=packages.find(folder), folder=folder.resolve().name, there=there)
     files = {name: File(data=text.encode()) for name, text in draft.files.items()}
     return files, (*draft.notes, *_next(typed, kept="inventory.yaml" in there))

@@ -32,6 +32,9 @@ USUAL = {1: "noetic", 2: "jazzy"}
 COMPOSE_FILES = ("compose.yaml", "compose.yml", "docker-compose.yaml", "docker-compose.yml")
 """Names of a Compose file that `docker compose` finds by itself."""
 
+COMPOSE_FOLDERS = ("", "docker/", ".docker/", "deploy/")
+"""Folders of a project in which people keep it."""
+
 _PLATFORMS_OF_ROS_2 = "linux/arm64 or linux/amd64"
 
 
@@ -104,7 +107,7 @@ def check(request: Request) -> None:
 
 
 def draft(request: Request, *, packages: Sequence[Package], folder: str, there: Sequence[str]) -> Draft:
-    """Return the files for a folder of that name, which has the files ``there``.
+    """Return the files for a folder of that name, which has the files ``there``, some of them in its folders.
 
     A Compose file that is there is used, and then no Dockerfile is needed.
 
@@ -112,11 +115,13 @@ def draft(request: Request, *, packages: Sequence[Package], folder: str, there: 
         UsageError: the packages cannot be built together, or not for this platform.
 
     """
-    compose = next((name for name in COMPOSE_FILES if name in there), "")
+    places = (folder + name for folder in COMPOSE_FOLDERS for name in COMPOSE_FILES)
+    compose = next((place for place in places if place in there), "")
     files = {"inventory.yaml": _inventory(request, stack=compose or "compose.yaml")}
     files["inventory.schema.json"] = json.dumps(json_schema(), indent=2) + "\n"
     if compose:
-        return Draft(files=files)
+        note = f"{compose} is the stack, as it is: no Compose file and no Dockerfile are written"
+        return Draft(files=files, notes=(note,))
     stack = _stack(request, packages, folder, own="Dockerfile" in there)
     return Draft(files={**files, **stack.files}, notes=stack.notes)
 

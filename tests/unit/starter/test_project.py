@@ -186,10 +186,14 @@ def test_packages_that_cannot_be_built_are_refused(
     assert refused.value.cure
 
 
-@pytest.mark.parametrize("name", ["compose.yaml", "compose.yml", "docker-compose.yaml", "docker-compose.yml"])
+@pytest.mark.parametrize(
+    "name", ["compose.yaml", "compose.yml", "docker-compose.yaml", "docker-compose.yml", "docker/compose.yml"]
+)
 def test_a_compose_file_that_is_there_is_the_stack(name: str) -> None:
     """It has its own way to be built."""
-    files = made(NAV, there=[name, "Dockerfile"]).files
+    made_ = made(NAV, there=[name, "Dockerfile"])
+    files = made_.files
+    assert made_.notes == (f"{name} is the stack, as it is: no Compose file and no Dockerfile are written",)
     assert {*files} == {"inventory.yaml", "inventory.schema.json"}
     assert f"\nstack: {name}\n" in files["inventory.yaml"]
 
