@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from fleet.config.compose import Project
     from fleet.config.inventory import Robot
 
+_NOT_PULLED = "--pull has no effect, because it is built from Debian images that fleet makes"
+
 
 @verb(
     {
@@ -53,6 +55,8 @@ def build(
         wanted = [(robot, one) for robot in robots for one in found[robot.name]]
         flags = ["--no-cache"] * no_cache + ["--pull"] * pull
         commands = _commands(wanted, flags)
+        if pull:
+            screen.warnings({one.reference: [_NOT_PULLED] for one in commands if one.bases})
         if dry:
             screen.json(commands) if json else screen.lines(builds.lines(commands))
             return

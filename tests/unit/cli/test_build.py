@@ -34,6 +34,18 @@ def test_flags_for_docker_build(mine: Project) -> None:
     )
 
 
+def test_pull_is_not_for_debian_that_fleet_makes(tmp_path: Path, desktop: None) -> None:  # noqa: ARG001
+    """No registry has it; the person hears that."""
+    (tmp_path / "inventory.yaml").write_text("stack: compose.yaml\nrobots: {pi1: , pi2: }\n")
+    (tmp_path / "Dockerfile").write_text("ARG BASE\nFROM $BASE\n")
+    (tmp_path / "compose.yaml").write_text(
+        "services: {a: {image: a, build: {context: ., args: {BASE: '${FLEET_DEBIAN_BOOKWORM:-x}'}}}}\n"
+    )
+    done = Project(folder=tmp_path, robots={}).fleet("build", "--dry", "--pull")
+    assert (done.code, "--pull" in done.out) == (0, False)
+    assert done.err.startswith("a:latest-arm64: --pull has no effect, because")
+
+
 @pytest.fixture
 def real(tmp_path: Path, desktop: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Project]:  # noqa: ARG001
     """A project with an image of its own, for this computer's platform; its logs are below it."""
