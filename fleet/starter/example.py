@@ -11,6 +11,7 @@ from pathlib import Path
 PARTS = (
     *(".dockerignore", "inventory.yaml", "inventory.schema.json"),
     *("docker/Dockerfile", "docker/compose.yaml", "docker/cross-install.sh"),
+    *("fabfile.py", "fabric.yaml"),  # its inventory says `fab`, and so a person may
     *("docker/entrypoint.sh", "docker/python_logging.yaml", "docker/roslaunch.py"),
     "talker",
 )

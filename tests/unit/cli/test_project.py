@@ -120,6 +120,7 @@ def test_the_example_is_written_as_it_is(empty: Project) -> None:
     with (empty.folder / "inventory.yaml").open("a") as inventory:
         inventory.write("  mine: 10.0.0.1\n")
     assert empty.fleet("build", "--dry").out.startswith("build talker:latest-arm64 for linux/arm64")
+    assert "mine\n" in empty.fab("inventory").out
 
 
 @pytest.fixture(scope="module")
