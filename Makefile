@@ -11,7 +11,7 @@ JOBS := 2
 PIP := $(VENV)/bin/pip --disable-pip-version-check install
 PIP_LOG := $(VENV)/pip.log
 PYTEST = $(VENV)/bin/pytest --numprocesses $(JOBS)
-SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh docker/*/*.sh) docker/lab/first-process .ci/run
+SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) fleet/lab/recipe/first-process .ci/run
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help

@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
-from fleet.cli import deploy, lab, observe, overview, verb
+from fleet.cli import (
+    build,
+    completions,
+    console,
+    deploy,
+    lab,
+    observe,
+    overview,
+    program,
+    project,
+    selection,
+    verb,
+)
 
 
 @verb.verb(name="help", looks=True)
@@ -14,13 +25,43 @@ def help_() -> None:
     sys.stdout.write(_overview())
 
 
-ns = verb.collection((*observe.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS)
+@verb.verb(
+    {
+        "shell": "bash, zsh or fish; default: the one of $SHELL",
+        "install": "write it to the place where the shell looks for it",
+        "names": "print the names of the inventory instead: hosts or stack",
+    },
+    looks=True,
+)
+def completion(shell: str = "", install: bool = False, names: str = "", inventory: str = "") -> None:
+    """Print what makes the Tab key complete verbs and names.
+
+    `fleet completion bash` prints the script, --install writes it to a file. Verbs and flags are those of this version of
+    fleet; robots, groups and stacks are read from the inventory when you press Tab. After an update, install it again.
+    """
+    screen = console.Screen()
+    if names:
+        screen.lines(completions.names(names, inventory))
+        return
+    shell = completions.shell(shell)
+    texts = completions.Verbs(summaries=verb.summaries(ns), flags=verb.flags(ns))
+    script = completions.script(shell, texts)
+    if install:
+        for line in completions.install(shell, script):
+            screen.say(line)
+    else:
+        sys.stdout.write(script)
+
+
+ns = verb.collection(
+    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS
+)
 
 
 def main() -> None:
     """Run the ``fleet`` command: the same verbs, for a folder that has an inventory and no fabfile."""
-    verb.main(ns, overview=_overview)
+    verb.main(ns, overview=_overview, words={"completion": "--shell"})
 
 
 def _overview() -> str:
-    return overview.page(verb.summaries(ns), program=Path(sys.argv[0]).name)
+    return overview.page(verb.summaries(ns), program=program.name(), new=not selection.found())

@@ -28,7 +28,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fleet import terminal
-from fleet.cli import json_output
+from fleet.cli import json_output, program
 from fleet.cli.growing_table import GrowingTable
 from fleet.plan.describe import details, headline, lines
 from fleet.plan.outcome import exit_code
@@ -131,7 +131,7 @@ class Screen:
             )
             self.out.print(text, soft_wrap=True)
             for detail in details(outcome):
-                self.out.print(_text(f"{'':{width}}  {detail}"), soft_wrap=True)
+                self.out.print(_text(program.typed(f"{'':{width}}  {detail}")), soft_wrap=True)
         counted: Counter[str] = Counter(outcome.status for outcome in outcomes)
         self.say(", ".join(f"{counted[status]} {status}" for status in _MARKS if counted[status]))
 
@@ -140,7 +140,7 @@ class Screen:
         bad = [outcome for outcome in outcomes if not outcome.good and outcome.status != "skipped"]
         for outcome in bad:
             for text in (f"{outcome.robot}: {headline(outcome)}", *details(outcome)):
-                self.err.print(_text(text), soft_wrap=True)
+                self.err.print(_text(program.typed(text)), soft_wrap=True)
         return exit_code(tuple(bad))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[tuple[str, str]]]) -> None:
@@ -178,6 +178,15 @@ class Screen:
         """Ask a yes/no question. Without a terminal the answer is no."""
         prompt = _text(f"{question} [y/N] ")
         return sys.stdin.isatty() and self.err.input(prompt).strip().lower() in ("y", "yes")
+
+    def ask(self, question: str, *, default: str) -> str:
+        """Ask for a line of text. An empty line, and no terminal, mean the default."""
+        if not sys.stdin.isatty():
+            return default
+        try:
+            return self.err.input(_text(f"{question} ")).strip() or default
+        except EOFError:
+            return default
 
     def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
         """Print the outcomes, and return the exit code."""
@@ -246,6 +255,9 @@ class Lines:
         """See `fleet.rollout.progress.Progress`."""
         self._screen.say(f"{outcome.robot}: {outcome.status} after {human_seconds(outcome.seconds)}")
 
+    def ended(self, name: str) -> None:
+        """Forget a name whose work has no outcome of a robot."""
+
 
 class WhereBytesFlow(ProgressColumn):
     """A column that stays empty for steps that send nothing."""
@@ -310,6 +322,11 @@ class Bars:
         """See `fleet.rollout.progress.Progress`."""
         with self._lock:
             self._drop(outcome.robot)
+
+    def ended(self, name: str) -> None:
+        """Remove the line of a name whose work has no outcome of a robot."""
+        with self._lock:
+            self._drop(name)
 
     def _drop(self, robot: str) -> None:
         task = self._tasks.pop(robot, None)

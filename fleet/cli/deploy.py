@@ -12,11 +12,9 @@ from fleet.cli import whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
-from fleet.cli.stacks import Stacks, images_of, stacks_there
+from fleet.cli.stacks import Stacks, stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
-from fleet.images import build as builds
-from fleet.images.docker_cli import buildkit_client
 from fleet.images.store import Store
 from fleet.plan import containers, readiness
 from fleet.plan import prune as prune_old
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from fleet.cli.stacks import RobotStack
-    from fleet.config.compose import Project
     from fleet.config.inventory import Robot
     from fleet.plan.compose_steps import Conflict
     from fleet.plan.step import Plan
@@ -84,38 +81,6 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
         return [provisioning.plan(robot=robot, facts=facts, script=text, now=time.time(), by=whoami())]
 
     return execute(robots, make, dry=dry, json=json, screen=Screen())
-
-
-@verb()
-def build(
-    hosts: str = "all", dry: bool = False, json: bool = False, inventory: str = "", stack: str = ""
-) -> None:
-    """Build the stacks' images for the robots' platforms.
-
-    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled. What `build:` says
-    in the Compose file becomes the flags of `docker build`.
-    """
-    robots, screen = select(inventory, hosts)[1], Screen()
-    client = buildkit_client()
-
-    def variables(project: Project, robot: Robot) -> dict[str, str]:
-        return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
-
-    with Stacks(variables=variables) as stacks:
-        wanted = [(robot, one) for robot in robots for one in stacks.of(robots, only=stack)[robot.name]]
-        commands: list[builds.Command] = []
-        for robot, one in wanted:
-            needs = builds.bases(one.project, robot.platform).values()
-            made = builds.plan(one.stack, one.project, platform=robot.platform, client=client, needs=needs)
-            commands += [command for command in made if command not in commands]
-        if dry:
-            screen.json(commands) if json else screen.lines(builds.lines(commands))
-            return
-        for command in commands:
-            builds.run(command, on_note=screen.say)
-        with Store() as store:
-            found = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
-        screen.images(list({image.reference: image for image in found}.values()), json=json)
 
 
 @verb(
@@ -329,7 +294,7 @@ class _Planner:
         return _named(plans, [one.stack.name for one, _ in self._releases[robot.name]])
 
 
-VERBS = (trust, provision, build, ship, rollback, prune, start, stop, restart, remove)
+VERBS = (trust, provision, ship, rollback, prune, start, stop, restart, remove)
 
 
 def _contain(verb: containers.Verb, *, hosts: str, dry: bool, json: bool, inventory: str, stack: str) -> int:

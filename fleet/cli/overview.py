@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 PURPOSES: Mapping[str, Sequence[str]] = {
-    "Set up": ("inventory", "trust", "provision"),
+    "Set up": ("init", "inventory", "trust", "provision", "completion"),
     "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove"),
     "Look": ("status", "history", "logs", "listen", "run", "shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),
@@ -28,7 +28,7 @@ fleet puts Docker and ROS on robots over SSH.
 
 Usage: {program} VERB [--hosts NAMES] [other flags of the verb]
 
-{verbs}
+{first}{verbs}
 
 Flags that most verbs share; they come after the verb
 {flags}
@@ -42,13 +42,26 @@ Documentation: README.md and docs/ in the project's repository
 """
 
 
-def page(summaries: Mapping[str, str], *, program: str) -> str:
-    """Return the page. ``summaries`` has one line for each verb, ``program`` is the name that was typed."""
+_FIRST = {
+    "init": "write the files of a project for the ROS packages here",
+    "init --example": "or write an example: a node that publishes the time",
+    "lab.up": "start virtual robots, if you have none at hand",
+}
+"""What to do in a folder without an inventory."""
+
+
+def page(summaries: Mapping[str, str], *, program: str, new: bool = False) -> str:
+    """Return the page. ``summaries`` has one line for each verb, ``program`` is the name that was typed.
+
+    ``new``: the person has no inventory here, and is told how to begin.
+    """
+    steps = "".join(f"  {program} {words:20}{text}\n" for words, text in _FIRST.items())
+    first = f"There is no inventory in this folder. To begin\n{steps}\n" if new else ""
     verbs = "\n\n".join(
         f"{purpose}\n" + _columns({name: summaries[name] for name in names})
         for purpose, names in PURPOSES.items()
     )
-    return _TEMPLATE.format(program=program, verbs=verbs, flags=_columns(SHARED_FLAGS))
+    return _TEMPLATE.format(program=program, first=first, verbs=verbs, flags=_columns(SHARED_FLAGS))
 
 
 def _columns(rows: Mapping[str, str]) -> str:

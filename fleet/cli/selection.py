@@ -17,10 +17,25 @@ def select(inventory: str, hosts: str) -> tuple[Inventory, tuple[Robot, ...]]:
         InventoryError, SelectionError: as `fleet.config.inventory` says.
 
     """
+    fleet = load(inventory)
+    return fleet, fleet.select(hosts)
+
+
+def load(inventory: str) -> Inventory:
+    """Load the inventory that was named, or the usual one.
+
+    Raises:
+        InventoryError: as `fleet.config.inventory` says.
+
+    """
     from fleet.config import inventory as inventories  # noqa: PLC0415  a quarter of all imports, and `fab --list` does without
 
-    fleet = inventories.load(_file(inventory or os.environ.get("FLEET_INVENTORY", "")))
-    return fleet, fleet.select(hosts)
+    return inventories.load(_file(inventory or os.environ.get("FLEET_INVENTORY", "")))
+
+
+def found() -> bool:
+    """Whether there is an inventory for a verb without ``--inventory``."""
+    return _file(os.environ.get("FLEET_INVENTORY", "")).exists()
 
 
 def _file(named: str) -> Path:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+from dataclasses import dataclass
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from invoke.collection import Collection
 from invoke.exceptions import Exit
 
 from fleet import __version__, terminal
+from fleet.cli import program
 from fleet.errors import FleetError
 from fleet.rollout import open_files
 
@@ -36,6 +38,15 @@ HELP = {
     "stack": "only this stack, by its Compose project name; default: all of the robots' stacks",
     "inventory": "the inventory file; default: $FLEET_INVENTORY, or the nearest inventory.yaml",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flag:
+    """A flag of a verb: whether a value follows it, and its help."""
+
+    takes_value: bool
+    text: str
+
 
 _NO_EFFECT = {
     "command-timeout": "`fab run --limit SECONDS -- COMMAND` limits a command",
@@ -83,7 +94,9 @@ def verb(
         guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         known = {name: text for name, text in HELP.items() if name in signature.parameters}
         flags = {**known, **(texts or {})}
-        return task(name=name, auto_shortflags=False, positional=[], help=flags)(guarded)
+        made = task(name=name, auto_shortflags=False, positional=[], help=flags)(guarded)
+        made.texts = flags  # Invoke 2 forgets a flag's help when it has read it once
+        return made
 
     return make
 
@@ -121,7 +134,7 @@ def _finish(body: Callable[..., int | None], options: Mapping[str, Any]) -> None
 
 def _told(problem: FleetError) -> Exit:
     cure = f"\n  cure: {problem.cure}" if problem.cure else ""
-    return Exit(terminal.plain(f"{problem.what}{cure}"), code=problem.exit_code)
+    return Exit(program.typed(terminal.plain(f"{problem.what}{cure}")), code=problem.exit_code)
 
 
 def _discard_output() -> None:
@@ -130,7 +143,8 @@ def _discard_output() -> None:
 
 
 def _misplaced(tasks: str, names: str) -> Exit:
-    return Exit(f"--hosts comes after the task: fab {tasks.replace('_', '-')} --hosts {names}", code=2)
+    text = f"--hosts comes after the task: fab {tasks.replace('_', '-')} --hosts {names}"
+    return Exit(program.typed(text), code=2)
 
 
 class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotations
@@ -143,12 +157,13 @@ class Executor(FabricExecutor):  # type: ignore[misc]  # Fabric has no annotatio
             raise _misplaced(" ".join(str(call.called_as or "VERB") for call in calls), names)
         for flag, instead in _NO_EFFECT.items():
             if typed[flag].got_value:
-                raise Exit(f"--{flag} has no effect here: {instead}", code=2)
+                raise Exit(program.typed(f"--{flag} has no effect here: {instead}"), code=2)
         command, self.core.remainder = self.core.remainder, ""
         expanded: list[Any] = super().expand_calls(calls, apply_hosts)
         if command:
             if not expanded or "command" not in inspect.signature(expanded[-1].task.body).parameters:
-                raise Exit("only `run` takes a command after `--`: fab run --hosts NAMES -- COMMAND", code=2)
+                text = "only `run` takes a command after `--`: fab run --hosts NAMES -- COMMAND"
+                raise Exit(program.typed(text), code=2)
             expanded[-1].kwargs["command"] = command
         return expanded
 
@@ -170,6 +185,19 @@ def summaries(verbs: Collection) -> dict[str, str]:
     return {name: (verbs[name].__doc__ or "").partition("\n")[0] for name in verbs.task_names}
 
 
+def flags(verbs: Collection) -> dict[str, dict[str, Flag]]:
+    """Return the flags of each verb, as they are typed."""
+    return {
+        name: {
+            f"--{flag.names[0]}": Flag(
+                takes_value=flag.takes_value, text=verbs[name].texts.get(flag.name, "")
+            )
+            for flag in verbs[name].get_arguments()
+        }
+        for name in verbs.task_names
+    }
+
+
 class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
     """Fabric's program, with our page in place of its flags."""
 
@@ -182,9 +210,15 @@ class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
         sys.stdout.write(self._overview())
 
 
-def main(verbs: Collection, *, overview: Callable[[], str]) -> None:
-    """Run the verbs as a program of their own, without a fabfile."""
-    program = _Program(
+def main(verbs: Collection, *, overview: Callable[[], str], words: Mapping[str, str] | None = None) -> None:
+    """Run the verbs as a program of their own, without a fabfile.
+
+    ``words`` names the verbs that take a word without a flag, and the flag that it stands for.
+    """
+    argv, words = list(sys.argv), words or {}
+    if len(argv) > 2 and argv[1] in words and not argv[2].startswith("-"):
+        argv.insert(2, words[argv[1]])
+    runner = _Program(
         overview,
         name="fleet",
         binary="fleet",
@@ -195,7 +229,7 @@ def main(verbs: Collection, *, overview: Callable[[], str]) -> None:
     )
     try:
         try:
-            program.run()  # which ends with SystemExit
+            runner.run(argv)  # which ends with SystemExit
         finally:
             sys.stdout.flush()
     except BrokenPipeError:

@@ -92,7 +92,7 @@ def _read(path: Path, *, check: Check, chain: tuple[Path, ...]) -> tuple[Roster,
     """What the file at ``path`` brings and what is wrong with it; ``chain`` are the files being read around it."""
     try:
         source = yamlfile.text(
-            path, error=InventoryError, cure="run `fab` in the folder that has the inventory"
+            path, error=InventoryError, cure="go to the folder that has it, or write one here with `fab init`"
         )
         document, duplicates = yamlfile.parse(source, path=path, error=InventoryError)
     except InventoryError as bad:

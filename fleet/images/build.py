@@ -11,21 +11,19 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fleet.config import compose
 from fleet.config.stack import literal
-from fleet.errors import ComposeError, DesktopError
-from fleet.images import debian_base
+from fleet.errors import ComposeError
 from fleet.images.debian_base import Base
 from fleet.images.emulation import desktop_platform
 from fleet.images.image import tagged_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from fleet.config.compose import Project
     from fleet.config.stack import Service, Stack
@@ -64,9 +62,17 @@ def bases(project: Project, platform: str) -> dict[str, Base]:
 
 
 def plan(
-    stack: Stack, project: Project, *, platform: str, client: Sequence[str], needs: Iterable[Base] = ()
+    stack: Stack,
+    project: Project,
+    *,
+    platform: str,
+    client: Sequence[str],
+    needs: Iterable[Base] = (),
+    flags: Sequence[str] = (),
 ) -> tuple[Command, ...]:
     """The commands that make every image of a stack for a platform; ``client`` is the argv of a BuildKit client.
+
+    ``flags`` are more flags for each ``docker build``.
 
     Raises:
         ComposeError: a service's ``build:`` cannot be carried out as it is written.
@@ -78,29 +84,13 @@ def plan(
     for service in stack.services.values():
         wanted = service.platform or platform
         if service.build is not None:
-            commands.append(_Build(service, stack, project, client).command(wanted, tuple(needs)))
+            commands.append(
+                _Build(service, stack, project, client).command(wanted, tuple(needs), flags=tuple(flags))
+            )
         elif service.image not in built:
             commands += _pull(service.image, wanted)
     different = {json.dumps([one.argv, one.feed]): one for one in commands}
     return tuple(different.values())
-
-
-def run(command: Command, *, on_note: Callable[[str], None]) -> None:
-    """Run one of them, its bases first; what it prints goes to standard error as it comes.
-
-    Raises:
-        DesktopError: it failed.
-
-    """
-    for base in command.bases:
-        debian_base.ensure(base.suite, base.platform, say=on_note)
-    on_note(command.title)
-    feed = {"input": command.feed.encode()} if command.feed else {"stdin": subprocess.DEVNULL}
-    code = subprocess.run(command.argv, stdout=2, check=False, **feed).returncode
-    if code:
-        raise DesktopError(
-            f"{command.title} failed with code {code}", cure="the reason is in the lines above"
-        )
 
 
 def lines(commands: Iterable[Command]) -> list[str]:
@@ -133,13 +123,13 @@ class _Build:
         self._client = client
         self._buildx = not any(word == "DOCKER_BUILDKIT=1" for word in client)
 
-    def command(self, platform: str, needs: tuple[Base, ...]) -> Command:
+    def command(self, platform: str, needs: tuple[Base, ...], *, flags: tuple[str, ...] = ()) -> Command:
         """The command that builds it for a platform. Raises `ComposeError` for what it cannot do."""
         self._check(platform)
         reference = tagged_for(self._service.image, platform)
         inline = self._build.get("dockerfile_inline")
         where = self._where(str(self._build.get("context") or "."), inline=inline is not None)
-        options = (*self._options(), *self._secrets(), *self._contexts())
+        options = (*flags, *self._options(), *self._secrets(), *self._contexts())
         return Command(
             title=f"build {reference} for {platform}",
             argv=(*self._client, "build", "--platform", platform, "--tag", reference, *options, *where),

@@ -106,7 +106,7 @@ def bootstrap(base: Base, rootfs: Path, *, say: Callable[[str], None] = print) -
     if not runs(base.platform):
         raise DesktopError(
             f"this computer cannot run {base.platform} programs, which building {base.tag} needs",
-            cure="run docker/desktop.sh, which sets up emulation",
+            cure="install the packages qemu-user-static and binfmt-support",
         )
     rootfs.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=rootfs.parent) as folder:
@@ -143,7 +143,7 @@ def _run_mmdebstrap(base: Base, rootfs: Path, *, security: bool = True) -> None:
     except FileNotFoundError:
         raise DesktopError(
             f"{base.tag} cannot be had: no registry answers, and mmdebstrap is not installed",
-            cure="run docker/desktop.sh",
+            cure="install the mmdebstrap package",
         ) from None
     except subprocess.TimeoutExpired:
         raise DesktopError(

@@ -23,7 +23,7 @@ _CURES = (
     ("permission denied", "let this login use Docker: sudo usermod -aG docker $USER, then log in again"),
     (
         "cannot connect to the docker daemon",
-        "start it: sudo systemctl start docker, or run docker/desktop.sh",
+        "start it: sudo systemctl start docker",
     ),
     ("no space left on device", "free some disk: docker system df shows what Docker uses"),
 )
@@ -39,7 +39,10 @@ def docker(*arguments: str, stdin: IO[bytes] | int = subprocess.DEVNULL, timeout
             ("docker", *arguments), stdin=stdin, capture_output=True, timeout=timeout, check=False
         )
     except FileNotFoundError:
-        raise DesktopError("Docker is not installed on this computer", cure="run docker/desktop.sh") from None
+        raise DesktopError(
+            "Docker is not installed on this computer",
+            cure="install Docker Engine: https://docs.docker.com/engine/install",
+        ) from None
     except subprocess.TimeoutExpired:
         raise DesktopError(
             f"docker {arguments[0]} did not finish in {timeout:g} s", cure="see whether docker info answers"

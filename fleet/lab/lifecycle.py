@@ -23,7 +23,7 @@ from fleet.lab.virtual_pi import VirtualPi, ensure_image, run_command
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-RECIPE = Path(__file__).parents[2] / "docker" / "lab"
+RECIPE = Path(__file__).parent / "recipe"
 LARGEST = 200  # Pis; their addresses fit into the smallest network Docker hands out
 BOOT_TAKES = 120.0  # seconds; one second is usual, a desktop that is busy with many Pis takes longer
 NETWORK_TRIES = 5
@@ -134,7 +134,7 @@ def _check_engine() -> None:
 def _out_of_reach(whose: str) -> DesktopError:
     return DesktopError(
         f"this computer cannot reach virtual Pis by address, because the Docker Engine in use is {whose}",
-        cure="use a Docker Engine on this computer itself: docker/desktop.sh installs one",
+        cure="use a Docker Engine on this computer itself: https://docs.docker.com/engine/install",
     )
 
 
@@ -147,7 +147,7 @@ def _platform(*, say: Callable[[str], None]) -> str:
     if _arm_runs():
         return WANTED
     say(
-        f"this computer cannot emulate ARM, so its virtual Pis run {desktop_platform()} (docker/desktop.sh sets up ARM)"
+        f"this computer cannot emulate ARM, so its virtual Pis run {desktop_platform()} (the packages qemu-user-static and binfmt-support set up ARM)"
     )
     return desktop_platform()
 
@@ -273,7 +273,7 @@ def _run(*argv: str) -> None:
         subprocess.run(argv, stdin=subprocess.DEVNULL, capture_output=True, check=True)
     except FileNotFoundError:
         raise DesktopError(
-            f"{argv[0]} is not installed on this computer", cure="run docker/desktop.sh"
+            f"{argv[0]} is not installed on this computer", cure="install the openssh-client package"
         ) from None
     except subprocess.CalledProcessError as error:
         errors = error.stderr.decode(errors="replace").strip()

@@ -103,7 +103,8 @@ def image_tag(recipe: Path, *, suite: str = SUITE) -> str:
     """Return the image's name; it is derived from the recipe, so another recipe has another name."""
     if not (recipe / "Dockerfile").is_file():
         raise DesktopError(
-            f"the virtual Pi's recipe is not in {recipe}", cure="run the lab from a clone of the project"
+            f"the virtual Pi's recipe is not in {recipe}",
+            cure="install fleet again: the folder is a part of it",
         )
     # `provision` sends the convenience script to a Pi; it is not part of the image.
     parts = sorted(path for path in recipe.iterdir() if path.is_file() and path.name != "get-docker.sh")

@@ -31,7 +31,7 @@ PURE = {
     *("errors", "platforms", "terminal", "units"),
     *("diagnosis.explain", "diagnosis.known_errors"),
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
-    *("images.chunks", "images.image", "images.layer"),
+    *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("ros.environment", "ros.rosmsg"),
     *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",
@@ -44,11 +44,12 @@ PURE = {
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
     *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
     *("cli.json_output", "cli.overview", "cli.status"),
-    *("config", "diagnosis", "images", "onboard", "provision", "robot", "ros", "transfer"),
+    *("config", "diagnosis", "images", "onboard", "provision", "robot", "ros", "starter", "transfer"),
 }
 """Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
 
 READS_FILES = {
+    *("starter.packages", "starter.project"),
     *("config.compose", "config.inventory", "config.merge", "config.project_files", "config.yamlfile"),
     *("config.docker_rules", "robot.release"),
 }

@@ -260,6 +260,13 @@ def test_nobody_there_is_a_no(screen: Screen, monkeypatch: pytest.MonkeyPatch) -
     assert screen.confirm("Record 2 host keys?") is False
 
 
+def test_nobody_there_gives_the_default(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A script that runs `fab init` is not asked."""
+    monkeypatch.setattr("sys.stdin", io.StringIO("pi1=10.0.0.1\n"))
+    assert screen.ask("Your robots?", default="none") == "none"
+    assert err(screen) == ""
+
+
 def test_progress_where_nobody_watches_is_lines(screen: Screen) -> None:
     """One when a robot begins something, one when it is through."""
     progress = screen.progress()
@@ -303,6 +310,8 @@ def test_progress_on_a_terminal_moves_and_leaves_nothing_behind() -> None:
         progress.finished(DONE)
         progress.bytes_sent("pi1", 5)
         progress.finished(GONE)
+        progress.step_started("talker:latest-arm64", "build", None)
+        progress.ended("talker:latest-arm64")
     assert isinstance(console.file, io.StringIO)
     text = console.file.getvalue()
     assert "load [talker]" in text
@@ -340,6 +349,23 @@ def test_a_terminal_gets_colours_and_its_own_width() -> None:
     )
     assert "\x1b[1;31mpi1" in text
     assert max(len(line) for line in terminal.plain(text).splitlines()) == 80
+
+
+def test_a_line_of_text_is_asked_for_on_a_terminal() -> None:
+    """`fab init` asks for robots; Enter, and the end of the input, mean the default."""
+    script = (
+        "import io, sys\n"
+        "from fleet.cli.console import Screen\n"
+        "sys.stderr = sys.stdout\n"
+        "class Answer(io.StringIO):\n"
+        "    isatty = lambda self: True\n"
+        "for answer in (' pi1=a \\n', '\\n', ''):\n"
+        "    sys.stdin = Answer(answer)\n"
+        "    print('<' + Screen().ask('Your robots?', default='later') + '>')\n"
+    )
+    text = on_a_terminal(script)
+    assert text.count("Your robots?") == 3
+    assert [word for word in text.split() if word.startswith("<")] == ["<pi1=a>", "<later>", "<later>"]
 
 
 def test_a_question_on_a_terminal_is_asked() -> None:

@@ -8,14 +8,6 @@ if TYPE_CHECKING:
     from tests.support.project import Project
 
 
-def test_a_dry_run_of_a_build_shows_the_commands(mine: Project) -> None:
-    """For the platforms of the robots that are meant."""
-    done = mine.fleet("build", "--dry")
-    assert done.code == 0
-    assert "build fleet-test-none:latest-arm64 for linux/arm64\n  $ " in done.out
-    assert " --platform linux/arm64 --tag fleet-test-none:latest-arm64 " in done.out
-
-
 def test_trust_records_what_a_person_says_yes_to(own: Project) -> None:
     """Unknown: nobody there is a no, --yes is a yes, and the second time it is known."""
     (own.folder / "known_hosts").unlink()

@@ -7,13 +7,13 @@ import pytest
 
 from fleet import cli
 from fleet.cli import overview
-from tests.support.project import ROOT
+from tests.support.project import ROOT, Project
 
 if TYPE_CHECKING:
-    from tests.support.project import Project
+    from pathlib import Path
 
 SHOWN = [
-    "Set up\n  inventory         Show each robot",
+    "Set up\n  init              Write the files",
     "\nShip\n  build  ",
     "\nLook\n  status  ",
     "\nLab: virtual robots on this computer\n  lab.up  ",
@@ -45,6 +45,24 @@ def test_fab_without_a_verb_shows_the_overview(mine: Project, words: tuple[str, 
     assert (done.code, done.err) == (0, "")
     assert "Usage: fab VERB" in done.out
     assert [part for part in SHOWN if part not in done.out] == []
+
+
+@pytest.mark.parametrize("words", [(), ("help",), ("--help",)])
+def test_a_folder_without_an_inventory_is_told_how_to_begin(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """First of all; the same folder with an inventory, here or above, needs no such words."""
+    folder = tmp_path / "new"
+    folder.mkdir()
+    new = Project(folder=folder, robots={})
+    done = new.fleet(*words)
+    assert (done.code, done.err) == (0, "")
+    assert done.out.index("There is no inventory in this folder.") < done.out.index("Set up\n")
+    assert re.findall(r"^  fleet (init|init --example|lab.up)  ", done.out, flags=re.MULTILINE) == [
+        "init",
+        "init --example",
+        "lab.up",
+    ]
+    (tmp_path / "inventory.yaml").touch()
+    assert "There is no inventory" not in new.fleet(*words).out
 
 
 def test_every_verb_has_one_place_in_the_overview() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import deploy, lab, observe
+from fleet.cli import build, deploy, lab, observe, project
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    "remove",
+    *("init", "completion", "remove"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
 }
 
@@ -59,7 +59,8 @@ def test_each_flag_has_help(mine: Project) -> None:
 
 
 @pytest.mark.parametrize(
-    "verb", sorted(VERBS - {"inventory", "status", "history", "logs", "listen", "lab.list", "help"})
+    "verb",
+    sorted(VERBS - {"inventory", "status", "history", "logs", "listen", "lab.list", "help", "completion"}),
 )
 def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
     """The lab's are refused with --dry, all others show what they would do."""
@@ -69,9 +70,11 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (deploy, observe, lab)
+    modules = (build, deploy, observe, lab, project)
     assert (
-        sum(len(module.VERBS) for module in modules) + len(("help",)) == len(VERBS) == len(cli.ns.task_names)
+        sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
+        == len(VERBS)
+        == len(cli.ns.task_names)
     )
 
 
@@ -83,25 +86,29 @@ BAD = [
     ),
     (("run", "--hosts", ",", "--", "true"), 2, "--hosts is empty"),
     (("run", "--hosts", "x*", "--", "true"), 2, "matches no robot"),
-    (("run",), 2, "no command was given\n  cure: fab run --hosts NAMES -- COMMAND"),
+    (("run",), 2, "no command was given\n  cure: fleet run --hosts NAMES -- COMMAND"),
     (("run", "--limit", "soon", "--", "true"), 2, "--limit takes a whole number, not soon"),
     (("history", "--tail", "x"), 2, "--tail takes a whole number, not x"),
-    (("shell",), 2, "`fab shell` opens one robot, but all names 3"),
-    (("shell", "--hosts", "fleet"), 2, "`fab shell` opens one robot, but fleet names 2"),
+    (("shell",), 2, "`fleet shell` opens one robot, but all names 3"),
+    (("shell", "--hosts", "fleet"), 2, "`fleet shell` opens one robot, but fleet names 2"),
     (("status", "--inventory", "none.yaml"), 2, "none.yaml"),
     (("status", "--inventory", "."), 2, "."),
     (("status", "--inventory", "/dev/null"), 2, "/dev/null"),
     (
         ("ship", "--hosts", "pi1"),
         2,
-        "there is no image fleet-test-none for linux/arm64 here\n  cure: run `fab build`",
+        "there is no image fleet-test-none for linux/arm64 here\n  cure: run `fleet build`",
     ),
-    (("--hosts", "pi1"), 2, "--hosts comes after the task: fab VERB --hosts pi1"),
-    (("--pty", "ship"), 2, "--pty has no effect here: `fab shell --hosts NAME` opens a terminal on a robot"),
+    (("--hosts", "pi1"), 2, "--hosts comes after the task: fleet VERB --hosts pi1"),
+    (
+        ("--pty", "ship"),
+        2,
+        "--pty has no effect here: `fleet shell --hosts NAME` opens a terminal on a robot",
+    ),
     (("ship", "-i", "key"), 2, "--identity has no effect here: set `identity_file` in the inventory"),
-    (("-T", "5", "status"), 2, "--command-timeout has no effect here: `fab run --limit SECONDS"),
+    (("-T", "5", "status"), 2, "--command-timeout has no effect here: `fleet run --limit SECONDS"),
     (("-w",), 2, "--warn-only has no effect here"),
-    (("--hosts", "pi1", "ship"), 2, "--hosts comes after the task: fab ship --hosts pi1"),
+    (("--hosts", "pi1", "ship"), 2, "--hosts comes after the task: fleet ship --hosts pi1"),
     (("build", "--", "x"), 2, "only `run` takes a command after `--`"),
     (("shp",), 1, "No idea what 'shp' is!"),
     (("ship", "--foo"), 1, "No idea what '--foo' is!"),
@@ -168,6 +175,7 @@ def test_what_is_piped_has_no_escape_codes(mine: Project) -> None:
         ("start", "--dry"),
         ("--dry", "stop"),
         ("trust", "--dry", "--yes"),
+        ("init", "--dry", "--yes"),
         ("rollback", "--to", "x", "--dry"),
         ("build", "--dry"),
         ("shell", "--hosts", "pi1", "--dry"),

@@ -130,7 +130,7 @@ def test_no_inventory(content: bytes, sentence: str) -> None:
 def test_no_file() -> None:
     """A missing inventory and a folder of its name are refused in one sentence."""
     with pytest.raises(
-        InventoryError, match=r"^inventory\.yaml: no such file; run `fab` in the folder that has"
+        InventoryError, match=r"^inventory\.yaml: no such file; go to the folder that has it, or write one"
     ):
         load(Path("inventory.yaml"))
     Path("inventory.yaml").mkdir()

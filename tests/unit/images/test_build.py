@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +8,7 @@ import pytest
 
 from fleet.config.compose import LEVELS, Project, Resolved
 from fleet.config.stack import read
-from fleet.errors import ComposeError, DesktopError
+from fleet.errors import ComposeError
 from fleet.images import build
 from fleet.images.build import Command
 from fleet.images.debian_base import Base
@@ -226,32 +223,13 @@ def command(*argv: str) -> Command:
     return Command(title="build a", argv=argv, reference="a:latest-arm64", platform="linux/arm64")
 
 
-def test_what_a_build_says_goes_to_standard_error(tmp_path: Path) -> None:
-    """Standard output is for results: `fab build --json` must be JSON alone."""
-    script = (
-        "from fleet.images.build import Command, run\n"
-        "run(Command(title='build a', argv=('sh', '-c', 'echo out; echo err >&2; cat'), reference='', platform=''),"
-        " on_note=lambda text: None)"
-    )
-    done = subprocess.run(
-        (sys.executable, "-c", script),
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
-        cwd=tmp_path,
-        input="never read",
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert (done.stdout, done.stderr) == ("", "out\nerr\n")
-
-
-def test_a_build_that_fails_is_one_sentence() -> None:
-    """BuildKit has told the reason."""
-    said: list[str] = []
-    with pytest.raises(DesktopError) as caught:
-        build.run(command("sh", "-c", "exit 7"), on_note=said.append)
-    assert caught.value.what == "build a failed with code 7"
-    assert said == ["build a"]
+def test_more_flags_go_into_each_build(project: Project) -> None:
+    """`fab build --no-cache --pull`."""
+    service = {"image": "a", "build": {"context": CONTEXT, "dockerfile": "Dockerfile"}}
+    stack = read(Resolved(model={"name": "robot", "services": {"a": service}}), project)
+    (made,) = build.plan(stack, project, platform="linux/arm64", client=BUILDX, flags=("--no-cache",))
+    plain = built(project).argv
+    assert made.argv == (*plain[:-3], "--no-cache", *plain[-3:])
 
 
 def test_commands_read_as_one_could_type_them() -> None:

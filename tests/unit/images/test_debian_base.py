@@ -100,7 +100,7 @@ def test_without_mmdebstrap_the_cure_is_named(tmp_path: Path, monkeypatch: pytes
     """The person learns that a registry would have done, too."""
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(
-        DesktopError, match=r"no registry answers, and mmdebstrap is not installed; run docker/desktop"
+        DesktopError, match=r"no registry answers, and mmdebstrap is not installed; install the mmdebstrap"
     ):
         bootstrap(Base(suite="trixie", platform=desktop_platform()), tmp_path / "cache" / "rootfs.tar")
 
@@ -136,5 +136,7 @@ def test_a_failed_bootstrap_says_why_and_leaves_nothing(
 def test_a_foreign_base_needs_emulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Said before mmdebstrap starts, which would fail half a minute later."""
     monkeypatch.setattr("fleet.images.debian_base.runs", lambda _platform: False)
-    with pytest.raises(DesktopError, match=r"cannot run linux/arm64 programs.*; run docker/desktop\.sh"):
+    with pytest.raises(
+        DesktopError, match=r"cannot run linux/arm64 programs.*; install the packages qemu-user-static"
+    ):
         bootstrap(Base(suite="trixie", platform="linux/arm64"), tmp_path / "rootfs.tar")

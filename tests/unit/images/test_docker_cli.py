@@ -62,7 +62,7 @@ def test_a_new_client_without_buildx_is_refused_with_the_cure(client: Client) ->
 def test_no_docker_at_all_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A missing program is the desktop's lack, not a traceback."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(DesktopError, match=r"Docker is not installed .*docker/desktop\.sh"):
+    with pytest.raises(DesktopError, match=r"Docker is not installed .*docs.docker.com/engine/install"):
         docker("ps")
 
 

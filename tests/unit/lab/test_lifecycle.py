@@ -64,5 +64,5 @@ def test_the_written_inventory_is_one_the_project_reads(tmp_path: Path) -> None:
 
 
 def test_the_recipe_of_virtual_pis_is_there() -> None:
-    """`fab lab.up` builds from the repository's own folder."""
+    """In the package itself, so that it travels in the wheel."""
     assert (lifecycle.RECIPE / "Dockerfile").is_file()

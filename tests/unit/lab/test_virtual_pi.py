@@ -70,7 +70,7 @@ def test_the_convenience_script_is_no_part_of_the_image(recipe: Path) -> None:
     assert image_tag(recipe) == first
 
 
-def test_without_a_clone_there_is_no_recipe(tmp_path: Path) -> None:
-    """The installed package does not carry the virtual Pi."""
-    with pytest.raises(DesktopError, match="run the lab from a clone"):
+def test_a_recipe_that_is_not_there_is_said(tmp_path: Path) -> None:
+    """It is a part of the installed package."""
+    with pytest.raises(DesktopError, match="install fleet again"):
         image_tag(tmp_path)

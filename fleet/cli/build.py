@@ -1,0 +1,117 @@
+"""Which verb makes images? ``fab build``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fleet.cli.console import Screen
+from fleet.cli.selection import select
+from fleet.cli.stacks import Stacks, images_of
+from fleet.cli.verb import verb
+from fleet.errors import UsageError
+from fleet.images import build as builds
+from fleet.images import builder
+from fleet.images.docker_cli import buildkit_client
+from fleet.images.store import Store
+from fleet.platforms import NAMES as PLATFORMS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from fleet.cli.console import AnyProgress
+    from fleet.cli.stacks import RobotStack
+    from fleet.config.compose import Project
+    from fleet.config.inventory import Robot
+
+_NOT_PULLED = "--pull has no effect, because it is built from Debian images that fleet makes"
+
+
+@verb(
+    {
+        "no_cache": "build every step again",
+        "pull": "ask registries for newer base images",
+        "platform": f"build for this platform, not the robots' own: {', '.join(PLATFORMS)}",
+    }
+)
+def build(
+    hosts: str = "all",
+    no_cache: bool = False,
+    pull: bool = False,
+    platform: str = "",
+    dry: bool = False,
+    json: bool = False,
+    inventory: str = "",
+    stack: str = "",
+) -> None:
+    """Build the stacks' images for the robots' platforms.
+
+    One image per platform, tagged for it: talker:latest-arm64. Services without `build:` are pulled. What `build:` says
+    in the Compose file becomes the flags of `docker build`. The output of each image's last build is kept in
+    ~/.cache/fleet/builds. If a step fails, its last lines are shown.
+    """
+    robots, screen = _for_platform(select(inventory, hosts)[1], platform), Screen()
+    with Stacks(variables=_variables) as stacks:
+        found = stacks.of(robots, only=stack)
+        wanted = [(robot, one) for robot in robots for one in found[robot.name]]
+        flags = ["--no-cache"] * no_cache + ["--pull"] * pull
+        commands = _commands(wanted, flags)
+        if pull:
+            screen.warnings({one.reference: [_NOT_PULLED] for one in commands if one.bases})
+        if dry:
+            screen.json(commands) if json else screen.lines(builds.lines(commands))
+            return
+        with screen.progress() as progress:
+            builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
+        with Store() as store:
+            images = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
+        screen.images(list({image.reference: image for image in images}.values()), json=json)
+
+
+def _for_platform(robots: Sequence[Robot], platform: str) -> Sequence[Robot]:
+    if not platform:
+        return robots
+    if platform not in PLATFORMS:
+        raise UsageError(f"there is no platform {platform}", cure=f"there are: {', '.join(PLATFORMS)}")
+    return [robot.model_copy(update={"platform": platform}) for robot in robots]
+
+
+def _variables(project: Project, robot: Robot) -> dict[str, str]:
+    return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
+
+
+def _commands(wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str]) -> list[builds.Command]:
+    """What has to be run for all robots, each once."""
+    client = buildkit_client()
+    commands: list[builds.Command] = []
+    for robot, one in wanted:
+        needs = builds.bases(one.project, robot.platform).values()
+        # The Debian bases that fleet makes are in no registry, where --pull would look for them.
+        useful = [flag for flag in flags if not (needs and flag == "--pull")]
+        made = builds.plan(
+            one.stack, one.project, platform=robot.platform, client=client, needs=needs, flags=useful
+        )
+        commands += [command for command in made if command not in commands]
+    return commands
+
+
+class _Watcher:
+    """Shows how builds go: a moving line for each image, or a line when it ends."""
+
+    def __init__(self, progress: AnyProgress) -> None:
+        self._progress = progress
+
+    def note(self, name: str, text: str) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.note(name, text)
+
+    def step(self, name: str, title: str) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.step_started(name, title, None)
+
+    def built(self, name: str, built: builder.Built) -> None:
+        """See `fleet.images.builder.Watcher`."""
+        self._progress.ended(name)
+        self._progress.note(name, str(built))
+
+
+VERBS = (build,)

@@ -1,0 +1,30 @@
+# ROS packages for a robot, built with colcon. The programs that build run on the robot's platform: this computer
+# emulates it. An edit of the code builds only the packages again, not their dependencies.
+ARG ROS_IMAGE=ros:@DISTRO@-ros-base
+
+FROM scratch AS sources
+@COPY@
+
+# The manifests alone decide which dependencies are installed.
+FROM ${ROS_IMAGE} AS manifests
+COPY --from=sources /ws/src /ws/src
+RUN find /ws/src '(' ! -type d ! -name package.xml -o -type d -empty ')' -delete
+
+FROM ${ROS_IMAGE} AS dependencies
+ARG DEBIAN_FRONTEND=noninteractive
+COPY --from=manifests /ws/src /ws/src
+RUN apt-get update \
+ && rosdep update --include-eol-distros --rosdistro "$ROS_DISTRO" \
+ && rosdep install --from-paths /ws/src --ignore-src --rosdistro "$ROS_DISTRO" --default-yes \
+ && rm -rf /var/lib/apt/lists/* /root/.ros /ws
+
+FROM dependencies AS build
+COPY --from=sources /ws/src /ws/src
+WORKDIR /ws
+SHELL ["/bin/bash", "-o", "pipefail", "-c"]
+RUN source "/opt/ros/$ROS_DISTRO/setup.bash" \
+ && colcon build --merge-install --install-base /opt/@NAME@ --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF
+
+FROM dependencies
+ENTRYPOINT ["/bin/bash", "-c", "source /opt/@NAME@/setup.bash && exec \"$@\"", "--"]
+COPY --from=build /opt/@NAME@ /opt/@NAME@

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.images.docker_cli import docker
+from fleet.images.emulation import desktop_platform
+from tests.support.project import Done, Project
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def test_a_dry_run_of_a_build_shows_the_commands(mine: Project) -> None:
+    """For the platforms of the robots that are meant."""
+    done = mine.fleet("build", "--dry")
+    assert done.code == 0
+    assert "build fleet-test-none:latest-arm64 for linux/arm64\n  $ " in done.out
+    assert " --platform linux/arm64 --tag fleet-test-none:latest-arm64 " in done.out
+
+
+def test_flags_for_docker_build(mine: Project) -> None:
+    """Another platform than the robots', and no old layers."""
+    done = mine.fleet("build", "--dry", "--no-cache", "--pull", "--platform", "linux/arm/v7")
+    assert done.code == 0
+    assert " --platform linux/arm/v7 --tag fleet-test-none:latest-armv7 --no-cache --pull " in done.out
+    assert done.out.count("  $ ") == 1
+    wrong = mine.fleet("build", "--dry", "--platform", "arm64")
+    assert (wrong.code, "there is no platform arm64\n  cure: there are: linux/arm64" in wrong.err) == (
+        2,
+        True,
+    )
+
+
+def test_pull_is_not_for_debian_that_fleet_makes(tmp_path: Path, desktop: None) -> None:  # noqa: ARG001
+    """No registry has it; the person hears that."""
+    (tmp_path / "inventory.yaml").write_text("stack: compose.yaml\nrobots: {pi1: , pi2: }\n")
+    (tmp_path / "Dockerfile").write_text("ARG BASE\nFROM $BASE\n")
+    (tmp_path / "compose.yaml").write_text(
+        "services: {a: {image: a, build: {context: ., args: {BASE: '${FLEET_DEBIAN_BOOKWORM:-x}'}}}}\n"
+    )
+    done = Project(folder=tmp_path, robots={}).fleet("build", "--dry", "--pull")
+    assert (done.code, "--pull" in done.out) == (0, False)
+    assert done.err.startswith("a:latest-arm64: --pull has no effect, because")
+
+
+@pytest.fixture
+def real(tmp_path: Path, desktop: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Project]:  # noqa: ARG001
+    """A project with an image of its own, for this computer's platform; its logs are below it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    name = f"fleettest-build-{tmp_path.parent.parent.name}"
+    (tmp_path / "inventory.yaml").write_text(
+        f"stack: compose.yaml\ndefaults: {{platform: {desktop_platform()}}}\nrobots: {{pi1: , pi2: }}\n"
+    )
+    (tmp_path / "compose.yaml").write_text(f"services: {{a: {{image: {name}, build: .}}}}\n")
+    (tmp_path / "Dockerfile").write_text("FROM scratch\nCOPY one /\n")
+    (tmp_path / "one").write_text(f"{tmp_path}\n")
+    yield Project(folder=tmp_path, robots={})
+    for image in docker("images", "--quiet", name).split():
+        docker("rmi", "--force", image)
+
+
+def words(done: Done) -> str:
+    """The line that says how the build of the one image ended, without the name."""
+    (line,) = [line for line in done.err.splitlines() if " step" in line]
+    return line.partition(" ")[2]
+
+
+def test_a_build_says_what_was_cached_and_no_more(real: Project) -> None:
+    """One line for an image of two robots; BuildKit's own words are in the log."""
+    first = real.fleet("build")
+    assert (first.code, "#1" in first.err) == (0, False)
+    assert words(first).startswith("1 step, 0 cached, ")
+    assert words(real.fleet("build")).startswith("1 step, all cached, ")
+    assert words(real.fleet("build", "--no-cache")).startswith("1 step, 0 cached, ")
+    (log,) = (real.folder / "cache/fleet/builds").iterdir()
+    assert "COPY one /" in log.read_text()
+
+
+def test_a_build_that_fails_shows_the_step(real: Project) -> None:
+    """And where the rest is."""
+    (real.folder / "Dockerfile").write_text("FROM scratch\nCOPY two /\n")
+    done = real.fleet("build")
+    assert done.code == 1
+    assert "COPY two /" in done.err
+    assert f"the whole output is in {real.folder}/cache/fleet/builds/fleettest-build-" in done.err
