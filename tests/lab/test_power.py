@@ -70,7 +70,8 @@ def project(robot: Lab, images: None, tmp_path: Path) -> Project:  # noqa: ARG00
 
 def one_release(project: Project, pi: Pi, where: str) -> None:
     """One release, all of its services, nothing half made; and the next ship converges."""
-    assert eventually(lambda: whole(pi, SERVICES), within=90), (where, state(pi))
+    if not eventually(lambda: whole(pi, SERVICES), within=90):
+        pytest.fail(f"{where}: {state(pi)}", pytrace=False)
     assert policies(pi) == {"unless-stopped"}, (where, state(pi))
     project.well("ship", "--hosts", pi.name, within=180)
     assert whole(pi, SERVICES), (where, state(pi))

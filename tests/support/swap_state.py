@@ -42,7 +42,8 @@ def state(pi: Pi) -> str:
         pi,
         "docker ps --all --format '{{.Names}} {{.Status}} {{.Label \"fleet.release\"}}'; ls -l ~pi/.fleet/stacks/*/;"
         " cat ~pi/.fleet/stacks/*/journal; tail -n 5 ~pi/.fleet/stacks/*/history; systemctl status fleet-finish;"
-        " tail ~pi/.fleet/runs/*/errors",
+        " tail -n 4 ~pi/.fleet/runs/*/errors ~pi/.fleet/runs/*/out; ls -lat ~pi/.fleet/runs ~pi/.fleet/runs/*;"
+        " journalctl -u docker -b --no-pager | tail -n 30",
     )
 
 
