@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fleet.cli import status as states
 from fleet.cli import whose
@@ -38,7 +38,14 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
     if json:
         screen.json([robot.model_dump(mode="json") for robot in robots])
     else:
-        screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
+        screen.records({robot.name: _settings(robot) for robot in robots})
+
+
+def _settings(robot: Robot) -> dict[str, Any]:
+    """The settings of a robot that say something."""
+    unused = {"ros": {"master"}} if robot.ros.version == 2 else {}
+    settings: dict[str, Any] = robot.model_dump(mode="json", exclude_none=True, exclude=unused)
+    return {key: value for key, value in settings.items() if key != "peers" or value}
 
 
 @verb({"watch": "update the table until Ctrl-C"}, looks=True)

@@ -47,9 +47,10 @@ STATUS = {
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform"),
-    *(f"ros.{key}" for key in ("master", "hostname", "ip", "namespace")),
+    *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace")),
+    *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
-    *("environment", "pass_environment", "files", "known_hosts", "stacks"),
+    *("environment", "pass_environment", "files", "known_hosts", "stacks", "peers"),
     *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
 }
 OUTCOME = {
