@@ -189,12 +189,21 @@ def listen(
     """Show a topic's messages as they arrive here.
 
     This computer does not need ROS. If no message arrives, the reason is shown: a name that does not resolve, a loopback
-    address, a closed port, or a topic without messages.
+    address, a closed port, or a topic without messages; for ROS 2 also another domain, a container with a network of its
+    own, a firewall, and the settings of discovery.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])
     return screen.problems(
-        stream.topics(robots, topic, count=count, timeout=timeout, printer=printer, progress=NoProgress())
+        stream.topics(
+            robots,
+            topic,
+            count=count,
+            timeout=timeout,
+            printer=printer,
+            notes=lambda name, text: screen.say(f"{name}: {text}"),
+            progress=NoProgress(),
+        )
     )
 
 
