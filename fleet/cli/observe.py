@@ -15,7 +15,7 @@ from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.plan import containers
-from fleet.rollout import stream
+from fleet.rollout import stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
 from fleet.ssh import openssh_config
@@ -207,4 +207,27 @@ def listen(
     )
 
 
-VERBS = (inventory, status, history, logs, run, shell, listen)
+@verb({"timeout": "seconds to look for the topics of a robot with ROS 2; default: 10"}, looks=True)
+def topics(hosts: str = "all", timeout: int = 10, json: bool = False, inventory: str = "") -> int:
+    """List topics, their types, and how many publish them.
+
+    For ROS 1, the topics are those of the robot's master. For ROS 2, they are those of the robot's own nodes. If none are
+    found, the reason is shown, as by `fab listen`.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    found, outcomes = topic_list.look(robots, timeout=timeout, progress=NoProgress())
+    if json:
+        screen.json({name: [asdict(topic) for topic in topics] for name, topics in found.items()})
+    else:
+        screen.table(
+            ("robot", "topic", "type", "publishers"),
+            [
+                ((name, "bold"), (one.name, ""), (one.type, ""), (str(one.publishers), ""))
+                for name, topics in found.items()
+                for one in topics
+            ],
+        )
+    return screen.problems(outcomes)
+
+
+VERBS = (inventory, status, history, logs, run, shell, listen, topics)

@@ -64,7 +64,7 @@ def messages(
     if robot.ros.rmw == "rmw_zenoh_cpp":
         raise silence.by_zenoh(robot)
     name = tcpros.resolved(topic, robot.ros.namespace or "")
-    with _Listener(robot, name, _addresses(robot, on_robot)) as listener:
+    with Listener(robot, name, addresses_of(robot, on_robot)) as listener:
         types: dict[str, cdr.Types] = {}
         heard, last = 0, time.monotonic()
         while time.monotonic() - last < timeout:
@@ -75,17 +75,21 @@ def messages(
                 last = time.monotonic()  # whoever reads them may have taken a while
             if heard and (note := listener.note()):
                 on_note(note)
-        network = silence.read(on_robot(("sh", "-c", onboard.text("ros2_network.sh"))))
-        raise silence.reason(robot, listener.graph, network, heard=heard, timeout=timeout)
+        raise silence.reason(robot, listener.graph, network_of(on_robot), heard=heard, timeout=timeout)
 
 
-def _addresses(robot: Robot, on_robot: OnRobot) -> tuple[str, ...]:
+def network_of(on_robot: OnRobot) -> silence.Network:
+    """Ask the robot how its programs use its network."""
+    return silence.read(on_robot(("sh", "-c", onboard.text("ros2_network.sh"))))
+
+
+def addresses_of(robot: Robot, on_robot: OnRobot) -> tuple[str, ...]:
     """Return the robot's IPv4 addresses: those of its name, or else the one that SSH reached."""
     with contextlib.suppress(tcpros.NameUnknown):
         rows = tcpros.addresses(robot.address, 0, time.monotonic() + RESOLVE)
         if found := [str(row[4][0]) for row in rows if row[0] == socket.AF_INET]:
             return tuple(dict.fromkeys(found))
-    address = silence.read(on_robot(("sh", "-c", onboard.text("ros2_network.sh")))).address
+    address = network_of(on_robot).address
     if address and ":" not in address:
         return (address,)
     raise Unreachable(
@@ -111,7 +115,7 @@ def _definitions(name: str, on_robot: OnRobot) -> str:
     return on_robot(("sh", "-c", f"{each}; exit 0", "types", onboard.text("ros2_types.sh"), name))
 
 
-class _Listener:
+class Listener:
     """The sockets of a listener, and what it has heard. Close it, or use it with ``with``: it then says goodbye."""
 
     def __init__(self, robot: Robot, topic: str, addresses: tuple[str, ...]) -> None:

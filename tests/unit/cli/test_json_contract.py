@@ -11,6 +11,7 @@ from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.ros.topics import Topic
 from tests.support.samples import PI, container, facts
 
 PAGE = (Path(__file__).parents[3] / "docs/reference/json.md").read_text(encoding="utf-8")
@@ -83,6 +84,10 @@ PRINTED = {
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
     "`fab inventory --json`": (INVENTORY, WITH_STACK.model_dump(mode="json")),
+    "`fab topics --json`": (
+        {"name", "type", "publishers"},
+        Topic(name="/time", type="std_msgs/msg/Header", publishers=1),
+    ),
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
     "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),
