@@ -13,7 +13,7 @@ from fleet.config.project_files import File, ProjectFiles
 from fleet.errors import InventoryError, NotReady, UsageError
 from fleet.robot import release
 from fleet.ros import environment as ros
-from fleet.ros import silent_stack
+from fleet.ros import silent_stack, unused_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -117,7 +117,11 @@ class Stacks:
             project=project,
             stack=read,
             environment=environment,
-            warnings=(*resolved.warnings, *silent_stack.warnings(read, version=robot.ros.version)),
+            warnings=(
+                *resolved.warnings,
+                *silent_stack.warnings(read, version=robot.ros.version),
+                *unused_settings.warnings(robot, read),
+            ),
         )
 
 

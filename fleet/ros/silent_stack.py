@@ -65,7 +65,7 @@ def _by_shared_memory(service: Mapping[str, Any], *, version: int) -> bool:
     environment = service.get("environment") or {}
     marked = bool(_ROS_2 & environment.keys())
     by_version = version == 2 and (
-        any(name.startswith("ROS_") for name in environment) or _is_ros(str(service.get("image") or ""))
+        any(name.startswith("ROS_") for name in environment) or is_ros(str(service.get("image") or ""))
     )
     middleware = str(environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp")
     transports = str(environment.get("FASTDDS_BUILTIN_TRANSPORTS") or "")
@@ -78,7 +78,7 @@ def _by_shared_memory(service: Mapping[str, Any], *, version: int) -> bool:
     )
 
 
-def _is_ros(image: str) -> bool:
+def is_ros(image: str) -> bool:
     """Whether an image is one of the ROS project."""
     name = image.partition("@")[0]
     return name.rpartition("/")[2].partition(":")[0] in {"ros", "ros2"} or name.startswith("osrf/ros")
