@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
-from fleet.cli.stacks import Stacks, images_of
+from fleet.cli.stacks import Stacks, images_of, warnings_of
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.images import build as builds
@@ -52,6 +52,7 @@ def build(
     robots, screen = _for_platform(select(inventory, hosts)[1], platform), Screen()
     with Stacks(variables=_variables) as stacks:
         found = stacks.of(robots, only=stack)
+        screen.warnings(warnings_of(found))
         wanted = [(robot, one) for robot in robots for one in found[robot.name]]
         flags = ["--no-cache"] * no_cache + ["--pull"] * pull
         commands = _commands(wanted, flags)

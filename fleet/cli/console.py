@@ -86,7 +86,7 @@ class Screen:
         self.err.print(_text(text))
 
     def warnings(self, by_robot: Mapping[str, Sequence[str]]) -> None:
-        """Print warnings of Compose about robots' stacks, each once, with the robots that it is about."""
+        """Print warnings about robots' stacks, each once, with the robots that it is about."""
         about: dict[str, list[str]] = {}
         for name, texts in by_robot.items():
             for text in texts:

@@ -12,7 +12,7 @@ from fleet.cli import whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
-from fleet.cli.stacks import Stacks, stacks_there
+from fleet.cli.stacks import Stacks, stacks_there, warnings_of
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.images.store import Store
@@ -120,9 +120,7 @@ def ship(
     limiter = RateLimiter(bytes_per_second(limit))
     with Stacks() as stacks, Store() as store, Sender.using(store, limiter=limiter, by=whoami()) as sender:
         found = stacks.of(robots, only=stack)
-        screen.warnings(
-            {name: [text for one in ones for text in one.warnings] for name, ones in found.items()}
-        )
+        screen.warnings(warnings_of(found))
         releases = {robot.name: stacks.releases(robot, found[robot.name], store) for robot in robots}
         planner = _Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]

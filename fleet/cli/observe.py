@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fleet.cli import status as states
 from fleet.cli import whose
@@ -15,7 +15,7 @@ from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
 from fleet.plan import containers
-from fleet.rollout import stream
+from fleet.rollout import stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
 from fleet.ssh import openssh_config
@@ -38,7 +38,14 @@ def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> No
     if json:
         screen.json([robot.model_dump(mode="json") for robot in robots])
     else:
-        screen.records({robot.name: robot.model_dump(mode="json", exclude_none=True) for robot in robots})
+        screen.records({robot.name: _settings(robot) for robot in robots})
+
+
+def _settings(robot: Robot) -> dict[str, Any]:
+    """The settings of a robot that say something."""
+    unused = {"ros": {"master"}} if robot.ros.version == 2 else {}
+    settings: dict[str, Any] = robot.model_dump(mode="json", exclude_none=True, exclude=unused)
+    return {key: value for key, value in settings.items() if key != "peers" or value}
 
 
 @verb({"watch": "update the table until Ctrl-C"}, looks=True)
@@ -182,13 +189,45 @@ def listen(
     """Show a topic's messages as they arrive here.
 
     This computer does not need ROS. If no message arrives, the reason is shown: a name that does not resolve, a loopback
-    address, a closed port, or a topic without messages.
+    address, a closed port, or a topic without messages; for ROS 2 also another domain, a container with a network of its
+    own, a firewall, and the settings of discovery.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])
     return screen.problems(
-        stream.topics(robots, topic, count=count, timeout=timeout, printer=printer, progress=NoProgress())
+        stream.topics(
+            robots,
+            topic,
+            count=count,
+            timeout=timeout,
+            printer=printer,
+            notes=lambda name, text: screen.say(f"{name}: {text}"),
+            progress=NoProgress(),
+        )
     )
 
 
-VERBS = (inventory, status, history, logs, run, shell, listen)
+@verb({"timeout": "seconds to look for the topics of a robot with ROS 2; default: 10"}, looks=True)
+def topics(hosts: str = "all", timeout: int = 10, json: bool = False, inventory: str = "") -> int:
+    """List topics, their types, and how many publish them.
+
+    For ROS 1, the topics are those of the robot's master. For ROS 2, they are those of the robot's own nodes. If none are
+    found, the reason is shown, as by `fab listen`.
+    """
+    screen, robots = Screen(), select(inventory, hosts)[1]
+    found, outcomes = topic_list.look(robots, timeout=timeout, progress=NoProgress())
+    if json:
+        screen.json({name: [asdict(topic) for topic in topics] for name, topics in found.items()})
+    else:
+        screen.table(
+            ("robot", "topic", "type", "publishers"),
+            [
+                ((name, "bold"), (one.name, ""), (one.type, ""), (str(one.publishers), ""))
+                for name, topics in found.items()
+                for one in topics
+            ],
+        )
+    return screen.problems(outcomes)
+
+
+VERBS = (inventory, status, history, logs, run, shell, listen, topics)

@@ -13,6 +13,7 @@ from fleet.config.project_files import File, ProjectFiles
 from fleet.errors import InventoryError, NotReady, UsageError
 from fleet.robot import release
 from fleet.ros import environment as ros
+from fleet.ros import silent_stack, unused_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +33,10 @@ AT_ONCE = 2 * (os.cpu_count() or 1)
 
 @dataclass(frozen=True, kw_only=True)
 class RobotStack:
-    """One stack of one robot: where it is written, and what Compose says it is with this robot's values."""
+    """One stack of one robot: where it is written, and what Compose says it is with this robot's values.
+
+    ``warnings`` are Compose's, and ours about what would start well and not work.
+    """
 
     spec: StackFiles
     project: Project
@@ -107,12 +111,17 @@ class Stacks:
         environment = {**environment_of(robot), **self._variables(project, robot)}
         resolved = compose.resolve(project, environment=environment)
         docker_rules.check(resolved, project)
+        read = stack.read(resolved, project)
         return RobotStack(
             spec=spec,
             project=project,
-            stack=stack.read(resolved, project),
+            stack=read,
             environment=environment,
-            warnings=resolved.warnings,
+            warnings=(
+                *resolved.warnings,
+                *silent_stack.warnings(read, version=robot.ros.version),
+                *unused_settings.warnings(robot, read),
+            ),
         )
 
 
@@ -168,6 +177,11 @@ def stacks_there(facts: Facts, *, only: str, alone: bool = False) -> list[str]:
     if alone and not only and len(names) > 1:
         raise NotReady("it has several stacks", cure=f"say which with --stack: {', '.join(names)}")
     return [only] if only else names or [""]
+
+
+def warnings_of(stacks: Mapping[str, Sequence[RobotStack]]) -> dict[str, list[str]]:
+    """The warnings about the stacks of each robot, by its name."""
+    return {name: [text for one in ones for text in one.warnings] for name, ones in stacks.items()}
 
 
 def images_of(one: RobotStack, robot: Robot, store: Store) -> dict[str, Image]:

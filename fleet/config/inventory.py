@@ -61,6 +61,9 @@ Environment = dict[
     Annotated[Scalar, PlainValidator(validation.environment_value, json_schema_input_type=Scalar)],
 ]
 Files = dict[Annotated[str, Field(pattern=validation.FILE)], Text]
+_Domain = Annotated[int, Field(json_schema_extra=validation.DOMAIN), AfterValidator(validation.domain)]
+_RMW = Field(json_schema_extra={"enum": list(validation.RMW)})
+_DISCOVERY = Field(json_schema_extra={"enum": list(validation.DISCOVERY)})
 # Keys that match no pattern: pydantic refuses them, its JSON Schema has to be told.
 _CLOSED = Field(json_schema_extra={"additionalProperties": False})
 
@@ -75,28 +78,52 @@ class Frozen(BaseModel):
 
 
 class Ros(Frozen):
-    """How the robot's ROS nodes find each other. At most one of ``hostname`` and ``ip``."""
+    """How the robot's ROS nodes find each other.
 
-    model_config = ConfigDict(json_schema_extra={"not": validation.BOTH_NAMES})
+    ``master``, ``hostname`` and ``ip`` are for ROS 1, at most one of ``hostname`` and ``ip``; ``domain``, ``rmw``,
+    ``discovery`` and ``peers`` are for ROS 2.
+    """
 
+    model_config = ConfigDict(
+        json_schema_extra={"allOf": [{"not": validation.BOTH_NAMES}, *validation.ROS_VERSIONS]}
+    )
+
+    version: Annotated[int, Field(ge=1, le=2)] = Field(default=1, description="ROS 1 or ROS 2.")
     master: Annotated[str, Field(pattern=validation.MASTER)] = Field(
         default="own",
-        description="'own': each robot runs its roscore. Else a shared one's URI, http://host:port.",
+        description="ROS 1. 'own': each robot runs its roscore. Else a shared one's URI, http://host:port.",
     )
     hostname: Annotated[str, Field(pattern=validation.HOSTNAME)] | None = Field(
-        default=None, description="ROS_HOSTNAME: the name others reach the robot by. Default: its address."
+        default=None,
+        description="ROS 1. ROS_HOSTNAME: the name others reach the robot by. Default: its address.",
     )
     ip: Annotated[str, Field(pattern=validation.IP), AfterValidator(validation.ip)] | None = Field(
-        default=None, description="ROS_IP, instead of hostname, where names do not resolve."
+        default=None, description="ROS 1. ROS_IP, instead of hostname, where names do not resolve."
+    )
+    domain: _Domain | None = Field(
+        default=None,
+        description="ROS 2. ROS_DOMAIN_ID, 0 to 101 or 215 to 232: only nodes of one domain hear each other. Default: 0.",
+    )
+    rmw: Annotated[str, _RMW, AfterValidator(validation.rmw)] | None = Field(
+        default=None,
+        description="ROS 2. RMW_IMPLEMENTATION: the middleware, which must be in the image. Default: the image's.",
+    )
+    discovery: Annotated[str, _DISCOVERY, AfterValidator(validation.discovery)] | None = Field(
+        default=None,
+        description="ROS 2. ROS_AUTOMATIC_DISCOVERY_RANGE: how far nodes look for others. Default: ROS's, the subnet.",
+    )
+    peers: Members | None = Field(
+        default=None,
+        description="ROS 2. ROS_STATIC_PEERS: robots and groups that are found without multicast, by their addresses.",
     )
     namespace: Annotated[str, Field(pattern=validation.NAMESPACE)] | None = Field(
-        default=None, description="ROS_NAMESPACE: goes before every name; needed when robots share a roscore."
+        default=None,
+        description="ROS_NAMESPACE: goes before every name. ROS 2 needs it in the command: `__ns:=/...`.",
     )
 
     @model_validator(mode="after")
-    def _one_way_to_call_it(self) -> Self:
-        if self.hostname is not None and self.ip is not None:
-            raise ValueError("hostname and ip exclude each other; remove one of them")
+    def _check(self) -> Self:
+        validation.ros(self.model_dump(exclude_unset=True))
         return self
 
 
@@ -238,7 +265,8 @@ class StackFiles(Frozen):
 class Robot(Frozen):
     """One robot with its merged values. ``files``: name below files/ on the robot -> absolute file here.
 
-    ``user``, ``port`` and ``identity_file`` are None where OpenSSH's configuration decides.
+    ``user``, ``port`` and ``identity_file`` are None where OpenSSH's configuration decides. ``peers`` are the addresses of
+    the other robots that ``ros.peers`` names.
     """
 
     name: str
@@ -254,6 +282,7 @@ class Robot(Frozen):
     files: dict[str, Path] = {}
     stacks: tuple[StackFiles, ...] = ()
     known_hosts: Path = Path("known_hosts")
+    peers: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         """Robots are keys, though their mappings are not hashable."""
@@ -289,14 +318,19 @@ def load(path: Path) -> Inventory:
     return Inventory(
         path=path,
         known_hosts=found.known_hosts,
-        robots={name: _finished(draft.values, stacks=found.stacks) for name, draft in found.drafts.items()},
+        robots={
+            name: _finished(draft.values, stacks=found.stacks, peers=found.peers(name))
+            for name, draft in found.drafts.items()
+        },
         groups=found.groups,
     )
 
 
-def _finished(values: Mapping[str, Any], *, stacks: Sequence[Mapping[str, Any]]) -> Robot:
+def _finished(
+    values: Mapping[str, Any], *, stacks: Sequence[Mapping[str, Any]], peers: Sequence[str]
+) -> Robot:
     """A robot of its merged values; ``stacks`` are the inventory's, for robots that name none of their own."""
-    values = {**values, "stacks": values.get("stack") or stacks}
+    values = {**values, "stacks": values.get("stack") or stacks, "peers": peers}
     values.pop("stack", None)
     return Robot.model_validate(values, strict=False)
 

@@ -13,7 +13,7 @@ from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from fleet.config import yamlfile
+from fleet.config import validation, yamlfile
 from fleet.config.selection import did_you_mean, is_wildcard, matching
 from fleet.errors import InventoryError
 
@@ -47,27 +47,43 @@ class Roster:
     drafts: dict[str, Draft] = field(default_factory=dict)
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
+    def peers(self, name: str) -> tuple[str, ...]:
+        """The addresses of the other robots that ``ros.peers`` of a robot names; each once, in file order."""
+        items = self.drafts[name].values.get("ros", {}).get("peers") or ()
+        named = {robot for item in items for robot in self.groups.get(item) or matching(item, self.drafts)}
+        others = (draft.values["address"] for robot, draft in self.drafts.items() if robot in named - {name})
+        return tuple(dict.fromkeys(others))
+
 
 def gather(path: Path, *, check: Check) -> tuple[Roster, tuple[str, ...]]:
     """What the inventory at ``path`` brings, and everything wrong with it, each as ``file:line: key: sentence``."""
     found, problems = _read(path, check=check, chain=())
     clashes = [problem for name, draft in found.drafts.items() for problem in _clashes(name, draft)]
-    return replace(found, groups={**found.groups, "all": tuple(found.drafts)}), (*problems, *clashes)
+    found = replace(found, groups={**found.groups, "all": tuple(found.drafts)})
+    problems = (*problems, *clashes)
+    # A `ros:` that is left out for another problem may have said the version.
+    return found, problems or tuple(_wrong_versions(found.drafts))
 
 
 def merge(under: Plain, over: Plain) -> Plain:
     """Both, ``over`` winning; the mappings inside (ros, docker, environment, files) key by key.
 
-    ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both.
+    ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both. A ``ros.version`` replaces the
+    keys of the other version.
     """
     merged = {**under, **over}
     for key in under.keys() & over.keys():
         if isinstance(under[key], dict) and isinstance(over[key], dict):
-            replaced = {"hostname", "ip"} if key == "ros" and {"hostname", "ip"} & over[key].keys() else set()
-            merged[key] = {name: value for name, value in under[key].items() if name not in replaced} | over[
-                key
-            ]
+            replaced = _replaced(over[key]) if key == "ros" else set()
+            kept = {name: value for name, value in under[key].items() if name not in replaced}
+            merged[key] = kept | over[key]
     return merged
+
+
+def _replaced(ros: Plain) -> set[str]:
+    """The keys of an earlier `ros:` that do not count where this one is said."""
+    names = {"hostname", "ip"} if {"hostname", "ip"} & ros.keys() else set()
+    return names | set(validation.ROS_KEYS[3 - ros["version"]] if "version" in ros else ())
 
 
 def key_path(location: yamlfile.Location) -> str:
@@ -85,6 +101,19 @@ def _clashes(name: str, draft: Draft) -> list[str]:
         f"{draft.place}: robots.{name}.files: '{file}' cannot be a file and also the folder of '{folders[file]}'"
         for file in files
         if file in folders
+    ]
+
+
+def _wrong_versions(drafts: dict[str, Draft]) -> list[str]:
+    """The problems of robots whose merged `ros:` has keys of the other version. Each is told once: many robots inherit it."""
+    found: dict[str, list[str]] = {}
+    for name, draft in drafts.items():
+        if sentence := validation.other_version(draft.values.get("ros", {})):
+            found.setdefault(sentence, []).append(name)
+    return [
+        f"{drafts[first].place}: robots.{first}.ros: {sentence}"
+        + (f" (more robots with the same problem: {len(rest)})" if rest else "")
+        for sentence, (first, *rest) in found.items()
     ]
 
 
@@ -182,15 +211,28 @@ class _File:
             self._drafts[robot] = replace(draft, shared=merge(draft.shared, shared))
 
     def _check_members(self, group: yamlfile.Location, names: Sequence[str]) -> None:
-        # A broken robot is reported once, where it is; a broken included file could hold any name.
-        written = self._document.value.get("robots")
-        known = {*self._drafts, *(written if isinstance(written, dict) else ())}
-        groups = {*self._groups, *(self._plain.get("groups") or {}), "all"}
+        known, groups = self._names()
         for name in names:
             if is_wildcard(name) or name in known or self.included_problems:
                 continue
             cure = "a group holds robots, not groups" if name in groups else did_you_mean(name, known)
             self._problem(self._member(group, name), f"no such robot: {name}" + (f"; {cure}" if cure else ""))
+
+    def _check_peers(self, location: yamlfile.Location, names: Sequence[str]) -> None:
+        known, groups = self._names()
+        for position, name in enumerate(names):
+            if name in groups or matching(name, known) or self.included_problems:
+                continue
+            cure = did_you_mean(name, known | groups) or "name robots and groups of the inventory"
+            no = "no robot matches" if is_wildcard(name) else "no such robot or group:"
+            self._problem((*location, position), f"{no} {name}; {cure}")
+
+    def _names(self) -> tuple[set[str], set[str]]:
+        """The names of robots and groups that this file may use."""
+        # A broken robot is reported once, where it is; a broken included file could hold any name.
+        written = self._document.value.get("robots")
+        robots = {*self._drafts, *(written if isinstance(written, dict) else ())}
+        return robots, {*self._groups, *(self._plain.get("groups") or {}), "all"}
 
     def _member(self, group: yamlfile.Location, name: str) -> yamlfile.Location:
         for location in (group, (*group, "robots")):
@@ -207,6 +249,7 @@ class _File:
             if v is not None
             or k not in {"ros", "docker", "environment", "files", "stack", "pass_environment"}
         }
+        self._check_peers((*location, "ros", "peers"), said.get("ros", {}).get("peers") or ())
         if "stack" in said:
             said["stack"] = self._stacks(said["stack"])
         if said.get("identity_file") is not None:

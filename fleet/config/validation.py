@@ -27,6 +27,10 @@ RESERVED: Mapping[str, str] = {
     "ROS_HOSTNAME": "set it as `ros: {hostname: ...}`; without it the robot's address is used",
     "ROS_IP": "set it as `ros: {ip: ...}`",
     "ROS_NAMESPACE": "set it as `ros: {namespace: ...}`",
+    "ROS_DOMAIN_ID": "set it as `ros: {version: 2, domain: ...}`",
+    "RMW_IMPLEMENTATION": "set it as `ros: {version: 2, rmw: ...}`",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "set it as `ros: {version: 2, discovery: ...}`",
+    "ROS_STATIC_PEERS": "set it as `ros: {version: 2, peers: [...]}`, with robots and groups",
     "COMPOSE_PROJECT_NAME": "set it as `name:` in the stack's Compose file",
 }
 """Variables that fleet sets itself, and where the inventory has their values."""
@@ -55,6 +59,27 @@ BOTH_NAMES: dict[str, Any] = {
     "required": ["hostname", "ip"],
 }
 
+ROS_KEYS: Mapping[int, tuple[str, ...]] = {
+    1: ("master", "hostname", "ip"),
+    2: ("domain", "rmw", "discovery", "peers"),
+}
+"""The keys of `ros:` that only one version of ROS has."""
+
+# As JSON Schema: where a version is said, the keys of the other one are absent or null.
+ROS_VERSIONS: list[dict[str, Any]] = [
+    {
+        "if": {"properties": {"version": {"const": version}}, "required": ["version"]},
+        "then": {"properties": {key: {"type": "null"} for key in ROS_KEYS[3 - version]}},
+    }
+    for version in ROS_KEYS
+]
+DOMAIN: dict[str, Any] = {"minimum": 0, "maximum": 232, "not": {"minimum": 102, "maximum": 214}}
+RMW = (
+    *("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp"),
+    *("rmw_connextdds", "rmw_gurumdds_cpp", "rmw_zenoh_cpp"),
+)
+DISCOVERY = ("subnet", "localhost", "off", "system_default")
+
 _MUST: Mapping[str, str] = {
     TEXT: "must not be empty",
     NAME: "is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
@@ -77,6 +102,8 @@ _NUMBERS: Mapping[str, str] = {
     "wait": "must be a whole number of seconds, 1 to 86400",
     "port": "must be a whole number from 1 to 65535",
     "log_max_file": "must be a whole number, 1 or more",
+    "version": "must be 1 or 2",
+    "domain": "must be a whole number from 0 to 101, or from 215 to 232",
 }
 
 _KINDS: Mapping[str, str] = {
@@ -124,6 +151,51 @@ def environment_value(value: object) -> str | int | float:
     raise ValueError(
         "has no value; write '' for an empty one" if value is None else "must be text or a number"
     )
+
+
+def domain(value: int) -> int:
+    """``value`` if a ROS 2 domain can have it; otherwise raise ValueError with the message."""
+    # https://docs.ros.org/en/jazzy/Concepts/Intermediate/About-Domain-ID.html: Linux's ephemeral ports are 32768 to 60999.
+    if 0 <= value <= 101 or 215 <= value <= 232:
+        return value
+    why = ": Linux gives the ports of the domains between to other programs" if 101 < value < 215 else ""
+    raise ValueError(wrong("int_range", "domain", value) + why)
+
+
+def rmw(value: str) -> str:
+    """``value`` if it is a middleware of ROS 2; otherwise raise ValueError with the message."""
+    return _one_of(RMW, value)
+
+
+def discovery(value: str) -> str:
+    """``value`` if it is a range of discovery; otherwise raise ValueError with the message."""
+    return _one_of(DISCOVERY, value)
+
+
+def _one_of(choices: tuple[str, ...], value: str) -> str:
+    if value in choices:
+        return value
+    hint = did_you_mean(value, choices)
+    raise ValueError(f"must be one of {', '.join(choices)}" + (f"; {hint}" if hint else ""))
+
+
+def ros(said: Mapping[str, Any]) -> None:
+    """Raise ValueError with the message if the keys of one `ros:` exclude each other."""
+    if said.get("hostname") is not None and said.get("ip") is not None:
+        raise ValueError("hostname and ip exclude each other; remove one of them")
+    # Without a version here, a group or the defaults may say it.
+    if "version" in said and (sentence := other_version(said)):
+        raise ValueError(sentence)
+
+
+def other_version(ros: Mapping[str, Any]) -> str:
+    """The message if a `ros:` has a key that its version does not know, else "". Without ``version`` it is 1."""
+    version = ros.get("version", 1)
+    wrong = next((key for key in ROS_KEYS[3 - version] if ros.get(key) is not None), "")
+    if not wrong:
+        return ""
+    stated = f"`version: {version}`" if "version" in ros else f"no `version:`, which means ROS {version}"
+    return f"{wrong} is a key of ROS {3 - version}, and there is {stated}; say `version: {3 - version}`, or remove {wrong}"
 
 
 def wrong(kind: str, key: str, value: object) -> str:

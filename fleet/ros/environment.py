@@ -14,8 +14,14 @@ if TYPE_CHECKING:
 MASTER_PORT = 11311
 OWN = "own"
 
-VARIABLES = ("ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE")
-"""The variables that `environment` sets."""
+VARIABLES = {
+    1: ("ROS_MASTER_URI", "ROS_HOSTNAME", "ROS_IP", "ROS_NAMESPACE"),
+    2: (
+        *("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"),
+        "ROS_NAMESPACE",
+    ),
+}
+"""The variables that `environment` sets, for each version of ROS."""
 
 
 def environment(robot: Robot) -> dict[str, str]:
@@ -24,6 +30,28 @@ def environment(robot: Robot) -> dict[str, str]:
     ``ROS_HOSTNAME`` or ``ROS_IP`` is the address that the robot's nodes register with the master. The default is the
     robot's address, a name or an IP address: ``ROS_HOSTNAME`` accepts both.
     """
+    return (_ros2 if robot.ros.version == 2 else _ros1)(robot)
+
+
+def _ros2(robot: Robot) -> dict[str, str]:
+    """Return the variables of ROS 2; ROS_NAMESPACE is for the stack's command line, because no node of ROS 2 reads it."""
+    ros = robot.ros
+    values = (
+        str(domain(robot)),
+        ros.rmw,
+        (ros.discovery or "").upper(),
+        ";".join(robot.peers),
+        ros.namespace and f"/{ros.namespace.strip('/')}",
+    )
+    return {name: value for name, value in zip(VARIABLES[2], values, strict=True) if value}
+
+
+def domain(robot: Robot) -> int:
+    """Return the ROS 2 domain of a robot."""
+    return robot.ros.domain or 0
+
+
+def _ros1(robot: Robot) -> dict[str, str]:
     own_master = f"http://localhost:{MASTER_PORT}"
     values = (
         own_master if robot.ros.master == OWN else robot.ros.master,
@@ -31,7 +59,7 @@ def environment(robot: Robot) -> dict[str, str]:
         robot.ros.ip,
         robot.ros.namespace,
     )
-    return {name: value for name, value in zip(VARIABLES, values, strict=True) if value}
+    return {name: value for name, value in zip(VARIABLES[1], values, strict=True) if value}
 
 
 def own_names(robot: Robot) -> tuple[str, ...]:

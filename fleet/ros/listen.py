@@ -73,7 +73,7 @@ def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[
 
 def _stream(robot: Robot, topic: str) -> tcpros.Stream:
     """Take all steps up to the first message."""
-    master, graph = _graph(robot)
+    master, graph = master_graph(robot)
     if not graph.publishers.get(topic):
         raise unpublished(topic, graph, robot=robot)
     try:
@@ -91,7 +91,7 @@ def _stream(robot: Robot, topic: str) -> tcpros.Stream:
         raise no_node(problem, robot=robot, node=node, host=host, home=home) from problem
 
 
-def _graph(robot: Robot) -> tuple[str, tcpros.Graph]:
+def master_graph(robot: Robot) -> tuple[str, tcpros.Graph]:
     """Ask the master, by the first of its names that resolves here."""
     for master in environment.masters(robot):
         try:

@@ -32,7 +32,8 @@ PURE = {
     *("diagnosis.explain", "diagnosis.known_errors"),
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
-    *("ros.environment", "ros.rosmsg"),
+    *("ros.cdr", "ros.environment", "ros.rosmsg", "ros.rtps", "ros.rtps_graph", "ros.silence"),
+    *("ros.silent_stack", "ros.unused_settings"),
     *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",
     *(

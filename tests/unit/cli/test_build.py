@@ -86,3 +86,13 @@ def test_a_build_that_fails_shows_the_step(real: Project) -> None:
     assert done.code == 1
     assert "COPY two /" in done.err
     assert f"the whole output is in {real.folder}/cache/fleet/builds/fleettest-build-" in done.err
+
+
+def test_a_build_warns_about_services_that_will_not_hear_each_other(own: Project) -> None:
+    """On standard error, before the commands, which are still shown."""
+    service = "{image: x, build: ., network_mode: host, environment: [ROS_DOMAIN_ID]}"
+    (own.folder / "stack/compose.yaml").write_text(f"services: {{talker: {service}, listener: {service}}}\n")
+    done = own.fleet("build", "--dry", "--hosts", "pi1")
+    assert "pi1: no message of ROS 2 will arrive between listener and talker" in done.err
+    assert "`ipc: host`" in done.err
+    assert (done.code, "docker" in done.out) == (0, True)

@@ -11,6 +11,7 @@ from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.ros.topics import Topic
 from tests.support.samples import PI, container, facts
 
 PAGE = (Path(__file__).parents[3] / "docs/reference/json.md").read_text(encoding="utf-8")
@@ -47,9 +48,10 @@ STATUS = {
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform"),
-    *(f"ros.{key}" for key in ("master", "hostname", "ip", "namespace")),
+    *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace")),
+    *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
-    *("environment", "pass_environment", "files", "known_hosts", "stacks"),
+    *("environment", "pass_environment", "files", "known_hosts", "stacks", "peers"),
     *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
 }
 OUTCOME = {
@@ -82,6 +84,10 @@ PRINTED = {
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
     "`fab inventory --json`": (INVENTORY, WITH_STACK.model_dump(mode="json")),
+    "`fab topics --json`": (
+        {"name", "type", "publishers"},
+        Topic(name="/time", type="std_msgs/msg/Header", publishers=1),
+    ),
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
     "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),

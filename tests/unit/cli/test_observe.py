@@ -70,6 +70,18 @@ def test_a_fleet_that_is_half_away_answers_early(own: Project) -> None:
     assert err == "42 robots: 1 well, 41 not reachable\n"
 
 
+def test_the_inventory_of_a_robot_with_ros_2(own: Project) -> None:
+    """Its settings and its peers' addresses; nothing about a ROS master, which ROS 2 does not have."""
+    (own.folder / "inventory.yaml").write_text(
+        "defaults: {ros: {version: 2, domain: 7, peers: [all]}}\nrobots: {pi1: 10.0.0.1, pi2: 10.0.0.2}\n"
+    )
+    words = own.fleet("inventory", "--hosts", "pi1").out
+    assert "  ros.domain               7\n" in words
+    assert "10.0.0.2" in words
+    assert "master" not in words
+    assert json.loads(own.fleet("inventory", "--json").out)[0]["peers"] == ["10.0.0.2"]
+
+
 def test_history_is_told_by_robot_and_time(own: Project) -> None:
     """The last so many of each; 0 is none."""
     home = own.robots["pi1"].path

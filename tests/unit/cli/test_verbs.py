@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    *("init", "completion", "remove"),
+    *("init", "completion", "remove", "topics"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
 }
 
@@ -60,7 +60,10 @@ def test_each_flag_has_help(mine: Project) -> None:
 
 @pytest.mark.parametrize(
     "verb",
-    sorted(VERBS - {"inventory", "status", "history", "logs", "listen", "lab.list", "help", "completion"}),
+    sorted(
+        VERBS
+        - {"inventory", "status", "history", "logs", "listen", "topics", "lab.list", "help", "completion"}
+    ),
 )
 def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
     """The lab's are refused with --dry, all others show what they would do."""
@@ -115,6 +118,7 @@ BAD = [
     (("ship", "--hosts"), 1, "needed value"),
     (("run", "--hosts", "away", "--", "true"), 1, "away: 127.0.0.1 refuses connections to port"),
     (("run", "--hosts", "pi1", "--", "exit 7"), 1, "pi1: ended with code 7"),
+    (("topics", "--hosts", "pi1"), 1, "pi1: no ROS master listens at"),
     (("listen", "--hosts", "pi1", "--count", "1"), 1, "pi1: no ROS master listens at"),
     (("start", "--hosts", "away"), 1, "1 unreachable"),
 ]

@@ -229,11 +229,13 @@ def test_example_in_full() -> None:
     """Every commented-out line of the example is valid."""
     write("", "config/camera.yaml")
     fleet = inventory(example(everything=True))
-    assert list(fleet.robots) == ["pi1", "pi2", "pi3"]
+    assert list(fleet.robots) == ["pi1", "pi2", "pi3", "pi4"]
     assert fleet.groups["lidar"] == ("pi1", "pi2")
     assert fleet.robots["pi2"].environment == {"TALKER_RATE": "1", "LIDAR": "/dev/ttyUSB0"}
     assert fleet.robots["pi3"].environment == {"TALKER_RATE": "0.5"}
-    assert [len(robot.stacks) for robot in fleet.robots.values()] == [2, 2, 1]
+    assert [len(robot.stacks) for robot in fleet.robots.values()] == [2, 2, 1, 1]
+    assert fleet.robots["pi4"].ros.version == 2
+    assert fleet.robots["pi4"].peers == ("pi1.local", "192.168.1.22", "pi3.local")
 
 
 def keys(value: object) -> set[str]:
@@ -292,6 +294,15 @@ platform: linux/arm64 | platform: linux/arm | platform: | identity_file: x | ide
 ros: | ros: {} | ros: x | ros: {master: own} | ros: {master: } | ros: {master: x} | ros: {master: 'http://a:1'}
 ros: {master: 'http://a:70000'} | ros: {master: 'http://[::1]:5/'} | ros: {hostname: a} | ros: {hostname: } | ros: {ip: 10.0.0.1}
 ros: {ip: '::1'} | ros: {ip: x} | ros: {hostname: a, ip: 10.0.0.1} | ros: {hostname: a, ip: } | ros: {namespace: a/b}
+ros: {version: 1} | ros: {version: 2} | ros: {version: 3} | ros: {version: true} | ros: {version: '2'} | ros: {version: 1.5}
+ros: {version: 2, domain: 0} | ros: {version: 2, domain: 101} | ros: {version: 2, domain: 102} | ros: {version: 2, domain: 214}
+ros: {version: 2, domain: 215} | ros: {version: 2, domain: 233} | ros: {version: 2, domain: -1} | ros: {version: 2, domain: '7'}
+ros: {version: 2, domain: } | ros: {version: 2, rmw: rmw_zenoh_cpp} | ros: {version: 2, rmw: rmw_zeno_cpp} | ros: {version: 2, rmw: 1}
+ros: {version: 2, discovery: subnet} | ros: {version: 2, discovery: 'off'} | ros: {version: 2, discovery: off} | ros: {version: 2, discovery: SUBNET}
+ros: {version: 2, peers: [all]} | ros: {version: 2, peers: }  | ros: {version: 2, peers: [1]} | ros: {version: 2, peers: all} | ros: {version: 2, peers: ['a b']}
+ros: {version: 2, master: own} | ros: {version: 2, hostname: a} | ros: {version: 2, hostname: } | ros: {version: 2, ip: 10.0.0.1}
+ros: {version: 1, domain: 1} | ros: {version: 1, peers: [all]} | ros: {version: 1, rmw: rmw_zenoh_cpp} | ros: {version: 1, discovery: subnet}
+environment: {ROS_DOMAIN_ID: 7} | environment: {RMW_IMPLEMENTATION: x} | environment: {ROS_DOMAIN_IDS: 7}
 ros: {namespace: 1} | ros: {namespace: 'a b'} | ros: {x: 1} | docker: {version: 27.5.1} | docker: {version: 27.5} | docker: {version: 27}
 docker: {log_max_size: 10m} | docker: {log_max_size: 10} | docker: {log_max_file: 1} | docker: {log_max_file: 0} | docker: {log_max_file: true}
 docker: {script: 'https://x'} | docker: {script: ''} | docker: {sha256: x} | docker: {x: 1} | docker:

@@ -58,6 +58,40 @@ robots:
     assert robots["pi3"].ros == Ros(namespace="n")
 
 
+def test_a_ros_version_replaces_the_keys_of_the_other_one() -> None:
+    """A fleet may have robots of both: one that says its version inherits no key that it does not know."""
+    robots = inventory("""
+defaults: {ros: {master: "http://m:1", namespace: n}}
+groups: {two: {robots: [pi2, pi3], ros: {version: 2, domain: 7}}}
+robots: {pi1: , pi2: {ros: {domain: null}}, pi3: {ros: {version: 1, ip: 10.0.0.3}}}
+""").robots
+    assert robots["pi1"].ros == Ros(master="http://m:1", namespace="n")
+    assert robots["pi2"].ros == Ros(version=2, namespace="n")
+    assert robots["pi3"].ros == Ros(version=1, ip="10.0.0.3", namespace="n")
+
+
+def test_peers_are_the_addresses_of_other_robots() -> None:
+    """Robots, groups and wildcards, also of included files; each address once, never the robot's own."""
+    write("robots: {lab1: 10.1.0.1, lab2: 10.1.0.2}\ngroups: {arms: [lab1]}", "lab.yaml")
+    robots = inventory("""
+include: [{path: lab.yaml}]
+defaults: {ros: {version: 2, peers: [arms, "pi*", lab1]}}
+groups: {arms: [pi3], none: []}
+robots: {pi1: 10.0.0.1, nano: {ros: {peers: [none]}}, pi3: pi3.local, pi4: {ros: {peers: [all]}}}
+""").robots
+    assert robots["pi1"].peers == ("10.1.0.1", "pi3.local", "pi4")
+    assert robots["nano"].peers == ()
+    assert robots["pi4"].peers == ("10.1.0.1", "10.1.0.2", "10.0.0.1", "nano", "pi3.local")
+    assert robots["lab1"].peers == ()
+
+
+def test_peers_of_a_broken_included_file_are_not_blamed() -> None:
+    """Its robots cannot be known."""
+    write("robots: [", "lab.yaml")
+    source = "include: [{path: lab.yaml}]\nrobots: {pi1: {ros: {version: 2, peers: [lab1]}}}"
+    assert [problem.partition(":")[0] for problem in problems(source)] == ["lab.yaml"]
+
+
 LAYERS = st.dictionaries(st.sampled_from("ABCD"), st.sampled_from(["1", "2", "x y", ""]), max_size=4)
 
 

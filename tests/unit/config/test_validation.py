@@ -138,6 +138,70 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             )
             for master in ("mine", "http://desktop", "http://desktop:99999", "https://a:1", "http://a b:1")
         ),
+        ("defaults: {ros: {version: 3}}", "defaults.ros.version: must be 1 or 2, not 3"),
+        ("defaults: {ros: {version: '2'}}", "defaults.ros.version: must be 1 or 2: write 2 without quotes"),
+        (
+            "defaults: {ros: {version: 2, domain: 300}}",
+            "defaults.ros.domain: must be a whole number from 0 to 101, or from 215 to 232, not 300",
+        ),
+        (
+            "defaults: {ros: {version: 2, domain: 102}}",
+            (
+                "defaults.ros.domain: must be a whole number from 0 to 101, or from 215 to 232, not 102: Linux gives the "
+                "ports of the domains between to other programs"
+            ),
+        ),
+        (
+            "defaults: {ros: {version: 2, domain: seven}}",
+            "defaults.ros.domain: must be a whole number from 0 to 101, or from 215 to 232, not seven",
+        ),
+        (
+            "defaults: {ros: {version: 2, rmw: rmw_cyclone_cpp}}",
+            (
+                "defaults.ros.rmw: must be one of rmw_fastrtps_cpp, rmw_fastrtps_dynamic_cpp, rmw_cyclonedds_cpp, "
+                "rmw_connextdds, rmw_gurumdds_cpp, rmw_zenoh_cpp; did you mean 'rmw_cyclonedds_cpp'?"
+            ),
+        ),
+        (
+            "defaults: {ros: {version: 2, discovery: lan}}",
+            "defaults.ros.discovery: must be one of subnet, localhost, off, system_default",
+        ),
+        (
+            "defaults: {ros: {version: 2, discovery: off}}",
+            "defaults.ros.discovery: must be text, not false; put it in quotes",
+        ),
+        (
+            "defaults: {ros: {version: 2, peers: [flet]}}\ngroups: {fleet: []}",
+            "defaults.ros.peers[0]: no such robot or group: flet; did you mean 'fleet'?",
+        ),
+        (
+            "robots: {pi1: {ros: {version: 2, peers: [pi1, 'nano*']}}}",
+            "robots.pi1.ros.peers[1]: no robot matches nano*; name robots and groups of the inventory",
+        ),
+        (
+            "defaults: {ros: {version: 2, master: own}}",
+            "defaults.ros: master is a key of ROS 1, and there is `version: 2`; say `version: 1`, or remove master",
+        ),
+        (
+            "groups: {g: {ros: {version: 1, peers: [all]}}}",
+            "groups.g.ros: peers is a key of ROS 2, and there is `version: 1`; say `version: 2`, or remove peers",
+        ),
+        (
+            "robots: {pi1: {ros: {domain: 7}}}",
+            "robots.pi1.ros: domain is a key of ROS 2, and there is no `version:`, which means ROS 1; say `version: 2`, or remove domain",
+        ),
+        (
+            "defaults: {ros: {rmw: rmw_zenoh_cpp}}\nrobots: {pi1: , pi2: , pi3: {ros: {version: 2}}}",
+            "robots.pi1.ros: rmw is a key of ROS 2, and there is no `version:`, which means ROS 1; say `version: 2`, or remove rmw (more robots with the same problem: 1)",
+        ),
+        (
+            "groups: {g: {robots: [pi1], ros: {version: 2}}}\nrobots: {pi1: {ros: {ip: 10.0.0.1}}}",
+            "robots.pi1.ros: ip is a key of ROS 1, and there is `version: 2`; say `version: 1`, or remove ip",
+        ),
+        (
+            "defaults: {environment: {ROS_DOMAIN_ID: 7}}",
+            "defaults.environment.ROS_DOMAIN_ID: fleet sets this variable itself; set it as `ros: {version: 2, domain: ...}`",
+        ),
         (
             "defaults: {docker: {version: 27.5}}",
             "defaults.docker.version: must be text, not 27.5; put it in quotes",

@@ -38,6 +38,23 @@ def test_ip_replaces_the_hostname() -> None:
     assert all(variables.values())
 
 
+def test_robot_with_ros_2() -> None:
+    """Nothing of ROS 1; the peers are addresses; without values only the domain is there, so that no other one counts."""
+    said = Ros(
+        version=2, domain=7, rmw="rmw_cyclonedds_cpp", discovery="off", peers=["fleet"], namespace="pi1"
+    )
+    full = Robot(name="pi1", address="pi1.local", ros=said, peers=("10.0.0.2", "pi3.local"))
+    assert environment.environment(full) == {
+        "ROS_DOMAIN_ID": "7",
+        "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
+        "ROS_STATIC_PEERS": "10.0.0.2;pi3.local",
+        "ROS_NAMESPACE": "/pi1",
+    }
+    plain = Robot(name="pi1", address="pi1.local", ros=Ros(version=2))
+    assert environment.environment(plain) == {"ROS_DOMAIN_ID": "0"}
+
+
 def test_desktop_finds_a_robots_own_master_at_the_robot() -> None:
     """What the robot calls localhost is, for the desktop, its address, or else the name it gives itself."""
     assert environment.masters(robot("alias", hostname="pi1.lan")) == (
@@ -74,4 +91,5 @@ def test_is_loopback(host: str, answer: bool) -> None:
 
 def test_an_inventory_reserves_each_variable_that_is_set_here() -> None:
     """`config` lies below `ros` and cannot import its table."""
-    assert set(environment.VARIABLES) == {name for name in validation.RESERVED if name.startswith("ROS_")}
+    ours = {name for names in environment.VARIABLES.values() for name in names}
+    assert ours == set(validation.RESERVED) - {"COMPOSE_PROJECT_NAME"}

@@ -1,0 +1,234 @@
+"""Which messages does a ROS 2 robot publish, as received on a desktop without ROS? If none arrive, why not?
+
+The desktop joins the robot's domain as `fleet.ros.rtps_graph` does, and finds the robot by multicast and by its address,
+so that messages arrive also where multicast does not. The robot itself is asked for the definition of the type, and, if
+no message arrives, how its programs use its network.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import sys
+import time
+from typing import TYPE_CHECKING, Self
+
+from fleet import onboard
+from fleet.errors import NotAsPlanned, Unreachable
+from fleet.ros import cdr, environment, rosmsg, rtps, silence, tcpros
+from fleet.ros.rtps_graph import Graph
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable
+
+    from fleet.config.inventory import Robot
+    from fleet.ros.rtps_graph import Message
+
+    OnRobot = Callable[[tuple[str, ...]], str]
+    """Runs a command on the robot and returns its output. Raises `RobotError`."""
+
+RESOLVE = 10.0
+"""Seconds to resolve the robot's address."""
+
+REPEAT = 0.5
+"""Seconds between two announcements until the first message. Later ones only keep the participant alive."""
+
+KEEP_ALIVE = 3.0
+"""Seconds, as for Fast DDS: others forget a participant that is silent for its lease of 20 s."""
+
+ROOM = 32 << 20
+"""Bytes of received datagrams that the system shall keep for a message: a camera image arrives in one burst."""
+
+HEARD_BY_NOW = 10.0
+"""Seconds: Fast DDS announces itself by multicast every 3 s. Other middlewares may take longer, so they are not judged."""
+
+_FORCE_ROOM = 33  # SO_RCVBUFFORCE of Linux, which `socket` does not name
+
+
+def messages(
+    robot: Robot,
+    topic: str,
+    *,
+    timeout: float,
+    on_robot: OnRobot,
+    on_note: Callable[[str], None] = lambda _: None,
+) -> Generator[str]:
+    """Yield a topic's messages from now on, each as text like that of ``ros2 topic echo``.
+
+    A relative topic name is resolved in the robot's namespace. ``timeout``: seconds without a message after which the
+    topic counts as silent; a publisher that is restarted has as long to come back. ``on_note`` gets a sentence if messages
+    arrive, and other computers would not find the robot. The iterator ends only by raising `RobotError`.
+    """
+    if robot.ros.rmw == "rmw_zenoh_cpp":
+        raise silence.by_zenoh(robot)
+    name = tcpros.resolved(topic, robot.ros.namespace or "")
+    with Listener(robot, name, addresses_of(robot, on_robot)) as listener:
+        types: dict[str, cdr.Types] = {}
+        heard, last = 0, time.monotonic()
+        while time.monotonic() - last < timeout:
+            listener.announce(every=KEEP_ALIVE if heard else REPEAT)
+            for message in listener.receive():
+                heard, last = heard + 1, time.monotonic()
+                yield _text(message, name, types, on_robot)
+                last = time.monotonic()  # whoever reads them may have taken a while
+            if heard and (note := listener.note()):
+                on_note(note)
+        raise silence.reason(robot, listener.graph, network_of(on_robot), heard=heard, timeout=timeout)
+
+
+def network_of(on_robot: OnRobot) -> silence.Network:
+    """Ask the robot how its programs use its network."""
+    return silence.read(on_robot(("sh", "-c", onboard.text("ros2_network.sh"))))
+
+
+def addresses_of(robot: Robot, on_robot: OnRobot) -> tuple[str, ...]:
+    """Return the robot's IPv4 addresses: those of its name, or else the one that SSH reached."""
+    with contextlib.suppress(tcpros.NameUnknown):
+        rows = tcpros.addresses(robot.address, 0, time.monotonic() + RESOLVE)
+        if found := [str(row[4][0]) for row in rows if row[0] == socket.AF_INET]:
+            return tuple(dict.fromkeys(found))
+    address = network_of(on_robot).address
+    if address and ":" not in address:
+        return (address,)
+    raise Unreachable(
+        f"{robot.address} has no IPv4 address that this computer knows, and DDS needs one",
+        cure=f"set the address of {robot.name} to an IPv4 address, or to a name that resolves to one",
+    )
+
+
+def _text(message: Message, topic: str, types: dict[str, cdr.Types], on_robot: OnRobot) -> str:
+    """Return a message as text. The robot is asked once for the definition of its type."""
+    try:
+        name = cdr.type_name(message.type)
+        if name not in types:
+            types[name] = cdr.parse(name, _definitions(name, on_robot))
+        return rosmsg.text(cdr.decode(message.payload, name, types[name]))
+    except rosmsg.Undecodable as problem:
+        raise NotAsPlanned(f"{topic} cannot be read: {problem}") from problem
+
+
+def _definitions(name: str, on_robot: OnRobot) -> str:
+    """Ask the robot's containers, one after the other, for the definition of a type; "" if none has it."""
+    each = 'for c in $(docker ps -q); do t=$(docker exec "$c" sh -c "$1" types "$2" 2>/dev/null) && echo "$t" && exit; done'
+    return on_robot(("sh", "-c", f"{each}; exit 0", "types", onboard.text("ros2_types.sh"), name))
+
+
+class Listener:
+    """The sockets of a listener, and what it has heard. Close it, or use it with ``with``: it then says goodbye."""
+
+    def __init__(self, robot: Robot, topic: str, addresses: tuple[str, ...]) -> None:
+        self._robot = robot
+        self._domain = environment.domain(robot)
+        self._targets = addresses
+        address = _own_address(addresses[0])
+        self._open = contextlib.ExitStack()
+        self._own = self._socket()
+        self._own.bind(("", 0))
+        place = (address, self._own.getsockname()[1])
+        self._own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(place[0]))
+        self._multicast = self._join(place[0])
+        self._announced = 0.0
+        self._began = time.monotonic()
+        self._noted = False
+        self.graph = Graph(
+            prefix=b"\1\x42" + os.urandom(10),
+            domain=self._domain,
+            place=place,
+            addresses=addresses,
+            topic=topic,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._send(self.graph.leave())
+        self._open.close()
+
+    def announce(self, *, every: float) -> None:
+        """Announce the listener, and repeat what was not answered, if the last time is ``every`` seconds ago."""
+        now = time.monotonic()
+        if now - self._announced < every:
+            return
+        self._announced = now
+        said = self.graph.announcement()
+        places = [(rtps.GROUP, rtps.port(self._domain, 0))]
+        for address in self._targets:
+            places += [
+                (address, rtps.port(self._domain, 10 + 2 * number)) for number in range(rtps.PARTICIPANTS)
+            ]
+        self._send((said, place) for place in places)
+        self._send(self.graph.repeat(now=now))
+
+    def receive(self) -> Generator[Message]:
+        """Wait for a moment, take in what arrives, and yield the messages of the topic."""
+        sockets = [self._own, *([self._multicast] if self._multicast else [])]
+        for ready in select.select(sockets, (), (), 0.1)[0]:
+            with contextlib.suppress(OSError):
+                datagram, (source, _) = ready.recvfrom(65536)
+                answers = self.graph.receive(
+                    datagram, source=source, multicast=ready is self._multicast, now=time.monotonic()
+                )
+                self._send(answers)
+        while self.graph.messages:
+            yield self.graph.messages.popleft()
+
+    def note(self) -> str:
+        """Return, once, that messages arrive although multicast does not, "" otherwise."""
+        peers = self.graph.peers.values()
+        late = time.monotonic() - self._began > HEARD_BY_NOW
+        fast = peers and all(peer.about.vendor == "Fast DDS" for peer in peers)
+        if self._noted or not late or not self._multicast or not fast:
+            return ""
+        self._noted = True
+        if any(peer.by_multicast for peer in peers):
+            return ""
+        return (
+            f"messages arrive, but the multicast of {self._robot.name} does not: other computers with ROS 2 may not find "
+            "its nodes (`ros.peers` names them to each other; ros.discovery must be subnet)"
+        )
+
+    def _send(self, datagrams: Iterable[tuple[bytes, rtps.Place]]) -> None:
+        for datagram, place in datagrams:
+            with contextlib.suppress(
+                OSError
+            ):  # a network that is away, now or for good: nothing will be heard then
+                self._own.sendto(datagram, place)
+
+    def _socket(self) -> socket.socket:
+        opened = self._open.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        with contextlib.suppress(
+            OSError
+        ):  # Linux gives as much as net.core.rmem_max allows, macOS all or nothing
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
+        if sys.platform == "linux":
+            with contextlib.suppress(OSError):
+                opened.setsockopt(socket.SOL_SOCKET, _FORCE_ROOM, ROOM)  # root may have it all
+        return opened
+
+    def _join(self, address: str) -> socket.socket | None:
+        """Open a socket for the multicast of the domain; None if this computer cannot."""
+        opened = self._socket()
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            # Bound to the group's address: only its multicast arrives, not what others send to this computer's ROS.
+            opened.bind((rtps.GROUP, rtps.port(self._domain, 0)))
+            membership = socket.inet_aton(rtps.GROUP) + socket.inet_aton(address)
+            opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        except OSError:
+            return None
+        return opened
+
+
+def _own_address(robot: str) -> str:
+    """Return this computer's address in the network of the robot."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((robot, rtps.port(0, 0)))  # sends nothing; asks the routing table
+        except OSError as problem:
+            raise Unreachable(
+                f"this computer has no route to {robot} ({problem.strerror})", cure="check its network"
+            ) from problem
+        return str(probe.getsockname()[0])

@@ -1,0 +1,128 @@
+"""Does a ROS 2 container send messages? One real message is read, as a node of the same container would read it.
+
+A single file, as `tcpros` is for ROS 1, for the health check of a container. It needs the container's own ROS (rclpy), so
+it hears each middleware and each type that the container has. A container starts a health check without the environment
+of ROS; then the check takes the one that the container's program was started with::
+
+    healthcheck:
+      test: ["CMD", "python3", "/usr/local/lib/fleet/ros2_check.py", "/chatter", "--timeout", "10"]
+
+Good for Python 3.8. All times are in seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+TURN = 0.1  # between two looks for a publisher
+NODE = "_fleet_check"  # the underscore hides it from `ros2 node list`
+
+
+class NoMessage(Exception):
+    """No message was read; the text says why."""
+
+
+def adopted(processes: Path) -> dict[str, str]:
+    """Return the environment of the first process that has one of ROS, {} if none has; ``processes`` is ``/proc``."""
+    for process in sorted((path for path in processes.glob("[0-9]*")), key=lambda path: int(path.name)):
+        try:
+            raw = (process / "environ").read_bytes()
+        except OSError:
+            continue
+        pairs = (entry.partition("=") for entry in os.fsdecode(raw).split("\0"))
+        found = {name: value for name, equals, value in pairs if equals}
+        if "AMENT_PREFIX_PATH" in found:
+            return found
+    return {}
+
+
+def resolved(topic: str, namespace: str) -> str:
+    """Return a topic's full name: a relative one follows the namespace, as a node's own would."""
+    return topic if topic.startswith("/") else "/" + "/".join(p for p in (namespace.strip("/"), topic) if p)
+
+
+def first_message(topic: str, *, timeout: float) -> bytes:
+    """Read one message of a topic, as its bytes. Raises `NoMessage`."""
+    try:
+        rclpy = importlib.import_module("rclpy")
+    except ImportError as problem:
+        raise NoMessage(f"this container has no rclpy ({problem})") from problem
+    rclpy.init(args=[])
+    try:
+        node = rclpy.create_node(NODE, start_parameter_services=False, enable_rosout=False)
+        return _heard(rclpy, node, topic, deadline=time.monotonic() + timeout)
+    finally:
+        rclpy.shutdown()
+
+
+def _heard(rclpy: Any, node: Any, topic: str, *, deadline: float) -> bytes:  # noqa: ANN401  rclpy has no types
+    messages: list[bytes] = []
+    subscription = None
+    while time.monotonic() < deadline:
+        publishers = node.get_publishers_info_by_topic(topic)
+        if publishers and subscription is None:
+            kind = _type(publishers[0].topic_type)
+            quality = _quality(publishers)
+            subscription = node.create_subscription(kind, topic, messages.append, quality, raw=True)
+        rclpy.spin_once(node, timeout_sec=TURN)
+        if messages:
+            return messages[0]
+    raise NoMessage("its publisher sends nothing" if subscription else "nobody publishes it")
+
+
+def _type(name: str) -> Any:  # noqa: ANN401  the class of a message
+    """Return the class of a type such as ``std_msgs/msg/String``."""
+    match = re.fullmatch(r"(\w+)/(\w+)/(\w+)", name)
+    if not match:
+        raise NoMessage(f"{name!r} is not a type of ROS")
+    package, folder, kind = match.groups()
+    try:
+        return getattr(importlib.import_module(f"{package}.{folder}"), kind)
+    except (ImportError, AttributeError) as problem:
+        raise NoMessage(f"this container has no Python package with {name}") from problem
+
+
+def _quality(publishers: Any) -> Any:  # noqa: ANN401  a quality of service of rclpy
+    """Return what fits each publisher; if all of them keep their last message, that one is asked for."""
+    qos = importlib.import_module("rclpy.qos")
+    kept = qos.DurabilityPolicy.TRANSIENT_LOCAL
+    late = all(one.qos_profile.durability == kept for one in publishers)
+    return qos.QoSProfile(
+        depth=1,
+        reliability=qos.ReliabilityPolicy.RELIABLE if late else qos.ReliabilityPolicy.BEST_EFFORT,
+        durability=kept if late else qos.DurabilityPolicy.VOLATILE,
+    )
+
+
+def main() -> int:
+    """Read one message: 0 when it came, otherwise 1 and the reason."""
+    options = argparse.ArgumentParser(description="Read one message of a ROS 2 topic.")
+    options.add_argument("topic", help="a relative name follows ROS_NAMESPACE")
+    options.add_argument("--timeout", type=float, default=5.0, metavar="SECONDS")
+    asked = options.parse_args()
+    if "AMENT_PREFIX_PATH" not in os.environ:
+        environment = adopted(Path("/proc"))
+        if environment:
+            # The libraries of ROS are found by LD_LIBRARY_PATH, which counts only at the start of a program.
+            os.execve(sys.executable, [sys.executable, *sys.argv], environment)  # noqa: S606  no shell is wanted
+    topic = resolved(asked.topic, os.environ.get("ROS_NAMESPACE", ""))
+    try:
+        first_message(topic, timeout=asked.timeout)
+    except NoMessage as problem:
+        sys.stdout.write(f"{topic}: {problem}\n")
+        return 1
+    except Exception as problem:  # noqa: BLE001  Docker shows one line of a check, and a traceback has more
+        sys.stdout.write(f"{topic}: {type(problem).__name__}: {str(problem).partition(chr(10))[0]}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet.ros import ros2_check
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RCLPY = '''
+import os, sys, types
+OFFERED = dict(pair.split("=") for pair in os.environ["OFFERED"].split())
+class Node:
+    """One publisher of each topic in OFFERED, such as /time=std_msgs/msg/String; /silent sends nothing."""
+    def __init__(self, name, **options):
+        assert options == {"start_parameter_services": False, "enable_rosout": False}
+        self.heard = None
+    def get_publishers_info_by_topic(self, topic):
+        if topic == "/broken":
+            raise RuntimeError("the middleware\\nis not there")
+        durability = 1 if topic == "/map" else 2
+        quality = types.SimpleNamespace(durability=durability)
+        return [types.SimpleNamespace(topic_type=OFFERED[topic], qos_profile=quality)] if topic in OFFERED else []
+    def create_subscription(self, kind, topic, heard, quality, raw):
+        assert raw and kind.__name__ == "String", kind
+        assert (quality.durability, quality.reliability) == ((1, 1) if topic == "/map" else (2, 2))
+        self.heard = None if topic == "/silent" else heard
+        return self
+def init(args):
+    assert args == []
+def shutdown():
+    print("left", file=sys.stderr)
+def create_node(name, **options):
+    return Node(name, **options)
+def spin_once(node, timeout_sec):
+    if node.heard:
+        node.heard(b"bytes")
+'''
+QOS = """
+import types
+DurabilityPolicy = types.SimpleNamespace(TRANSIENT_LOCAL=1, VOLATILE=2)
+ReliabilityPolicy = types.SimpleNamespace(RELIABLE=1, BEST_EFFORT=2)
+QoSProfile = types.SimpleNamespace
+"""
+OFFERED = (
+    "/time=std_msgs/msg/String /map=std_msgs/msg/String /silent=std_msgs/msg/String /pi1/time=std_msgs/msg/String "
+    "/own=own_msgs/msg/Thing /odd=String"
+)
+
+
+@pytest.fixture
+def ros(tmp_path: Path) -> Path:
+    """Packages with the names of ROS 2's, which do what rclpy does as far as the check can see."""
+    (tmp_path / "rclpy").mkdir()
+    (tmp_path / "rclpy/__init__.py").write_text(RCLPY)
+    (tmp_path / "rclpy/qos.py").write_text(QOS)
+    (tmp_path / "std_msgs").mkdir()
+    (tmp_path / "std_msgs/msg.py").write_text("class String: pass\n")
+    return tmp_path
+
+
+def check(
+    topic: str, packages: Path | None, *, timeout: str = "3", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """The file as a container's health check runs it, in the environment of ROS."""
+    return subprocess.run(
+        (sys.executable, str(ros2_check.__file__), topic, "--timeout", timeout),
+        env={
+            "PYTHONPATH": str(packages or ""),
+            "AMENT_PREFIX_PATH": "/opt",
+            "OFFERED": OFFERED,
+            **environment,
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize("topic", ["/time", "time", "/map"])
+def test_one_message_is_enough(ros: Path, topic: str) -> None:
+    """Healthy, and nothing is printed; the node leaves. A topic that keeps its last message is asked for that one."""
+    done = check(topic, ros)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "left\n")
+
+
+def test_a_relative_topic_follows_the_namespace(ros: Path) -> None:
+    """As in the inventory, with or without a slash."""
+    for namespace in ("pi1", "/pi1"):
+        assert check("time", ros, ROS_NAMESPACE=namespace).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("topic", "reason"),
+    [
+        ("/none", "/none: nobody publishes it"),
+        ("/silent", "/silent: its publisher sends nothing"),
+        ("/own", "/own: this container has no Python package with own_msgs/msg/Thing"),
+        ("/odd", "/odd: 'String' is not a type of ROS"),
+        ("/broken", "/broken: RuntimeError: the middleware"),
+    ],
+)
+def test_the_reason_is_one_line(ros: Path, topic: str, reason: str) -> None:
+    """`docker inspect` shows it."""
+    done = check(topic, ros, timeout="0.3")
+    assert (done.returncode, done.stdout, done.stderr) == (1, f"{reason}\n", "left\n")
+
+
+def test_a_container_without_ros() -> None:
+    """That is said, too."""
+    done = check("/time", None)
+    assert done.returncode == 1
+    assert done.stdout.startswith("/time: this container has no rclpy (No module named 'rclpy'")
+
+
+def test_the_environment_of_the_containers_program(tmp_path: Path) -> None:
+    """The first process that has one; others may have ended, or be somebody else's."""
+    for number, entries in (
+        ("10", b"AMENT_PREFIX_PATH=/late\0"),
+        ("9", b"A=b=c\0odd\0AMENT_PREFIX_PATH=/opt/ros\0"),
+    ):
+        (tmp_path / number).mkdir()
+        (tmp_path / number / "environ").write_bytes(entries)
+    (tmp_path / "1").mkdir()
+    (tmp_path / "2").mkdir()
+    (tmp_path / "2/environ").write_bytes(b"PATH=/bin\0")
+    assert ros2_check.adopted(tmp_path) == {"A": "b=c", "AMENT_PREFIX_PATH": "/opt/ros"}
+    assert ros2_check.adopted(tmp_path / "none") == {}
+
+
+def test_a_check_adopts_that_environment(ros: Path) -> None:
+    """Docker starts it without the environment of ROS: it is still healthy."""
+    environment = {"AMENT_PREFIX_PATH": "/opt", "PYTHONPATH": str(ros), "OFFERED": OFFERED}
+    script = "import time; time.sleep(60)"
+    with subprocess.Popen((sys.executable, "-c", script), env=environment) as program:
+        try:
+            code = f"""
+import importlib.util, pathlib, sys
+sys.argv = [{str(ros2_check.__file__)!r}, "/time"]
+spec = importlib.util.spec_from_file_location("check", sys.argv[0])
+check = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(check)
+class Container:  # this computer may have other programs with ROS
+    def __init__(self, path): pass
+    def glob(self, _): return [pathlib.Path("/proc/{program.pid}")]
+check.Path = Container
+sys.exit(check.main())
+"""
+            done = subprocess.run(
+                (sys.executable, "-c", code), env={}, capture_output=True, text=True, check=False
+            )
+        finally:
+            program.kill()
+    assert (done.returncode, done.stdout) == (0, "")
