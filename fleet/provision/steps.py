@@ -85,6 +85,7 @@ def plan(
     return Plan(
         robot=robot.name,
         summary=_summary(robot, facts),
+        verb="provision",
         steps=(*steps, *_proof(robot)),
         explain=(_journal(facts),),
         recover=(_remove_source(facts),) if needs_script(facts) else (),

@@ -62,7 +62,10 @@ STEP = {
 }
 PLANS = {
     *("plans", "problems"),
-    *(f"plans[].{key}" for key in ("robot", "summary", "stack", "steps", "explain", "recover", "afterwards")),
+    *(
+        f"plans[].{key}"
+        for key in ("robot", "summary", "stack", "verb", "steps", "explain", "recover", "afterwards")
+    ),
     *(f"plans[].steps[].{key}" for key in STEP),
     *(f"plans[].{key}" for key in ("record", "record.verb", "record.release", "record.by")),
     *("plans[].forecast", "plans[].transfer"),
