@@ -43,12 +43,6 @@ _IS_INSTALLED = "command -v docker || { echo 'the script ended without an error,
 _FINISH = "cat > /etc/systemd/system/fleet-finish.service && systemctl daemon-reload && systemctl enable --quiet fleet-finish"
 _REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
-# systemctl only reports that Docker did not start; the reason is in the journal.
-_JOURNAL = (
-    "systemctl is-active --quiet docker"
-    " || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2> /dev/null"
-)
-
 
 def plan(
     *,
@@ -302,6 +296,9 @@ def _remove_source(facts: Facts) -> Step:
 
 
 def _journal(facts: Facts) -> Step:
+    """Show why Docker does not start: systemctl says only that it failed."""
     return Step(
-        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _JOURNAL), limit=20.0
+        title="show the end of Docker's journal",
+        argv=as_root(facts, "sh", "-c", onboard.text("docker_journal.sh"), "docker_journal"),
+        limit=20.0,
     )
