@@ -62,7 +62,7 @@ def compose_plugin(*, facts: Facts, bounds: Bounds) -> Step:
         ("sh", "-c", onboard.text("apt_compose.sh")),
         facts=facts,
         bounds=bounds,
-        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then provision again",
+        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then run the same command again",
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.errors import NotReady
+from fleet.plan import readiness
 from fleet.plan.step import Bytes, Plan, Record, Step
 from fleet.provision import apt, daemon_json, sudo
 from fleet.provision.sudo import as_root
@@ -32,6 +33,8 @@ CLOCK_MAY_DIFFER = 60.0
 _DEFAULT = apt.Bounds()
 _CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
 """Packages of Debian and Ubuntu that contain files of Docker's own packages; dpkg refuses to install both."""
+
+_AGAIN = "run the same command again"
 
 SCRIPT = f"{HOME}/get-docker.sh"
 PROOF_IMAGE = "fleet-proof"
@@ -62,7 +65,7 @@ def plan(
         NotReady: the user has to change something on the robot or in the inventory first.
 
     """
-    _check_platform(robot, facts)
+    _check_kind(robot, facts)
     _check_version(robot, facts)
     rotation = daemon_json.steps(robot, facts)
     install = _installation(robot, facts, script=script, bounds=bounds)
@@ -90,7 +93,7 @@ def plan(
 
 def needs_script(facts: Facts) -> bool:
     """Whether Docker's convenience script has to run: no Docker is installed, from any source."""
-    return facts.docker.state == "absent" and not _engine_package(facts)
+    return facts.docker.state == "absent" and not facts.docker.kind and not _engine_package(facts)
 
 
 def _engine_package(facts: Facts) -> str:
@@ -103,11 +106,13 @@ def _summary(robot: Robot, facts: Facts) -> str:
     return f"{which}, ready for {facts.login.name}"
 
 
-def _check_platform(robot: Robot, facts: Facts) -> None:
+def _check_kind(robot: Robot, facts: Facts) -> None:
+    """Check what no step can change: other engines, the system's commands, its processor."""
+    readiness.manageable(facts, then=_AGAIN)
     if robot.platform in facts.host.platforms:
         return
     if not facts.host.platforms:
-        raise NotReady(f"there are no images for its processor ({facts.host.machine or 'unknown'})")
+        raise readiness.no_platform(facts)
     fitting = f"set `platform: {facts.host.platforms[0]}` for {robot.name} in the inventory"
     if facts.host.machine == "aarch64" and facts.host.platforms[0] == "linux/arm/v7":
         raise NotReady(
@@ -123,7 +128,7 @@ def _check_version(robot: Robot, facts: Facts) -> None:
     pin, installed = robot.docker.version, facts.docker.version or facts.docker.client
     if not pin or not installed or _numbers(pin) == _numbers(installed):
         return
-    remove = "remove Docker on the robot (its containers stop; images stay), then provision again"
+    remove = f"remove Docker on the robot (its containers stop; images stay), then {_AGAIN}"
     if _numbers(pin) < _numbers(installed):
         raise NotReady(
             f"Docker {installed} is installed, and the inventory pins {pin}: fleet does not downgrade",
