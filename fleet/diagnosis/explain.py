@@ -22,9 +22,12 @@ NOT_FOUND = 127
 _TAIL, _LINE = 32_000, 600
 """Characters that are searched, of the output's end and of each line: some patterns are slow on endless lines."""
 
+_OURS = ("note: ", "now: ")
+"""How lines begin that scripts of `fleet.onboard` write for the person who waits."""
+
 _NOISE = re.compile(
     r"^(?:sudo: unable to resolve host|W: |WARNING: |\+ |debconf: |time=.* level=warning|See '|See \"|Run '"
-    r"|exit status \d+$|For more help| *Container \S+ +\w+$| *Network \S+ +\w+$)"
+    r"|exit status \d+$|note: |now: |For more help| *Container \S+ +\w+$| *Network \S+ +\w+$)"
 )
 
 
@@ -50,7 +53,8 @@ def explain(output: str, *, code: int = 1, verb: str = "", details: str = "") ->
 
 def _find(output: str) -> tuple[KnownError, list[str]] | None:
     """The first known error in an output, and the groups of its pattern that matched: two of them or more."""
-    searched = "\n".join(line[:_LINE] for line in output[-_TAIL:].splitlines())
+    lines = output[-_TAIL:].splitlines()
+    searched = "\n".join(line[:_LINE] for line in lines if not line.startswith(_OURS))
     for known in KNOWN_ERRORS:
         if match := re.search(known.pattern, searched, re.MULTILINE):
             groups = [group.strip() for group in match.groups() if group]

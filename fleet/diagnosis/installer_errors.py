@@ -12,6 +12,10 @@ _INTERNET = "check the robot's internet connection: `ping -c 1 deb.debian.org` o
 _AGAIN = (
     "wait until it has finished (updates after the first boot take minutes), then run the same command again"
 )
+_ANOTHER_SERVER = (
+    "run the same command again in some minutes; if the error stays, name another server in the robot's "
+    "/etc/apt/sources.list, or check what filters its network"
+)
 _COMPOSE_BY_HAND = "https://docs.docker.com/compose/install/linux"
 _DOCKERS = r"docker-ce[\w-]*|containerd\.io|docker-(?:compose|buildx|model)-plugin"
 _BY_HAND = (
@@ -39,7 +43,7 @@ INSTALLER_ERRORS = (
         {"provision": "`sudo dpkg --configure -a` on the robot completes its work, or shows why it cannot"},
     ),
     KnownError(
-        rf"Temporary failure resolving '([^']+)'|Could not resolve host:? '?({_NAMES})|lookup (\S+)(?: on \S+)?: ",
+        rf"Temporary failure resolving '([^']+)'|Could not resolve(?: host:?)? '?({_NAMES})|lookup (\S+)(?: on \S+)?: ",
         "the robot cannot resolve {0}: no DNS or no internet",
         _INTERNET,
     ),
@@ -54,7 +58,6 @@ INSTALLER_ERRORS = (
         "the robot cannot reach {0}",
         _INTERNET,
     ),
-    KnownError(r"curl: \(28\)", "a download took too long", _INTERNET),
     KnownError(
         r"trying to overwrite '[^']+', which is also in package (\S+)",
         "the installed package {0} conflicts with the new one",
@@ -86,6 +89,14 @@ INSTALLER_ERRORS = (
         f"install it by hand ({_COMPOSE_BY_HAND}); or remove Docker on the robot (its containers stop, images stay), and run "
         "the same command again: Docker's own packages have it",
     ),
+    KnownError(
+        rf"Failed to fetch \w+://({_NAMES})\S* +(?:Connection failed|Connection timed out|Could not wait for server)"
+        rf"|^package server (.+?) (?:sends nothing|does not answer)"
+        rf"|curl -\S+ \"?\w+://({_NAMES})[^\n]*\n(?:.*\n)?.*curl: \(28\)",
+        "the server {0} does not answer",
+        _ANOTHER_SERVER,
+    ),
+    KnownError(r"curl: \(28\)", "a download took too long", _INTERNET),
     KnownError(
         rf"Unable to locate package ({_DOCKERS})|Package '({_DOCKERS})' has no installation candidate",
         "Docker's package server has no {0} for the robot's system",
@@ -119,7 +130,7 @@ INSTALLER_ERRORS = (
     KnownError(
         r"Failed to fetch \w+://([^/\s]+)\S* +(5\d\d)",
         "the package server {0} answers {1}: it is overloaded or down",
-        "run the same command again in some minutes, or name another server in the robot's /etc/apt/sources.list",
+        _ANOTHER_SERVER,
     ),
     KnownError(
         r"curl -\S+ \"?\w+://([^/\"\s]+)[^\n]*\n(?:.*\n)?.*curl: \(22\).*error: (4\d\d)",

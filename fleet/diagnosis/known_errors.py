@@ -114,10 +114,20 @@ KNOWN_ERRORS = (
         "{0} is not allowed to use sudo",
         "as root on the robot: `usermod -aG sudo {0}`",
     ),
+    KnownError(
+        r"image (?:with reference )?\"?([^\s\"]+?)\"? was found but .*platform\W.*(linux/amd64/v\d)",
+        "the image {0} was built for {1}, a newer processor than linux/amd64 means",
+        _LEVEL,
+    ),
+    KnownError(
+        r"image (?:with reference )?\"?([^\s\"]+?)\"? was found but (.*platform.*)",
+        "the image {0} is for another platform: {1}",
+        _PLATFORM,
+    ),
     # A missing image: Docker then asks a registry, and the errors of that would mislead.
     KnownError(
         r"Unable to find image '([^']+)' locally|pull access denied for ([^, ]+)|No such image: (\S+)|manifest for (\S+) not found"
-        r"|image (?:with reference )?\"?([^\s\"]+)\"? was (?:found but|not found)",
+        r"|image (?:with reference )?\"?([^\s\"]+)\"? was not found",
         "the image {0} is not on the robot",
         "`fab ship` sends it",
         {

@@ -79,8 +79,8 @@ class Step:
     white space. ``fresh_login``: the step runs on a new connection, because group membership is read at login.
     ``until_closed``: its standard input is held open, and it ends with the connection. ``harmless``: it touches nothing
     that runs, so if it fails there is nothing to recover yet. ``resumes``: run again, it continues where it stopped, so it
-    is run again after a lost link. ``detached``: it goes on without the desktop, and the lines of its output that begin
-    with ``note:`` are shown as they come.
+    is run again after a lost link. ``detached``: it goes on without the desktop. Of the output, lines that begin with ``note:`` are
+    shown as they come, and those that begin with ``now:`` until the next one.
     """
 
     title: str

@@ -170,7 +170,7 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
         steps = _by_packages(facts, bounds=bounds)
     broken = facts.packages.interrupted and (steps or facts.docker.state == "stopped")
     return (
-        *((apt.reachable(),) if steps else ()),
+        *((apt.reachable(bounds=bounds),) if steps else ()),
         *((apt.repair(facts=facts, bounds=bounds),) if broken else ()),
         *steps,
     )

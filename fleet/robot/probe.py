@@ -167,7 +167,9 @@ def _engine(answer: str) -> tuple[EngineState, str]:
     """The engine's state and version, from the output of ``docker version``."""
     last = "".join(answer.splitlines()[-1:])
     version = last.partition(" ")[0]  # its components follow
-    if _VERSION.fullmatch(version):  # warnings come before it, such as that of a forbidden ~/.docker/config.json
+    if _VERSION.fullmatch(
+        version
+    ):  # warnings come before it, such as that of a forbidden ~/.docker/config.json
         return "ready", version
     return ("forbidden" if "permission denied" in answer.lower() else "stopped"), ""
 

@@ -20,6 +20,7 @@ from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
 from fleet.rollout.link import GOES_ON, output_of
 from fleet.rollout.reconnect import RETRY_FOR, RetryTimer
+from fleet.ssh.channel import KEPT, Kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 
 NOTE = "note:"
 """How a line begins that a script on a robot writes for the person who waits for it."""
+
+NOW = "now:"
+"""The same, for a line that holds until the next one: how far a long step is, or what it waits for."""
 
 AGAIN = "run the same command again when the robot is back"
 
@@ -101,8 +105,8 @@ def apply(
 class _Notes:
     """The lines of a script's output that are for the person who waits for it."""
 
-    def __init__(self, show: Callable[[str], None]) -> None:
-        self._show = show
+    def __init__(self, note: Callable[[str], None], now: Callable[[str], None]) -> None:
+        self._shows = {NOTE: note, NOW: now}
         self._rest = b""
         self._left = _MOST_NOTES
 
@@ -112,9 +116,10 @@ class _Notes:
         self._rest = rest[:4096]
         for line in lines:
             text = terminal.plain(line[:4096].decode(errors="replace"))
-            if text.startswith(NOTE) and self._left:
+            word, colon, told = text.partition(":")
+            if (show := self._shows.get(word + colon)) and self._left:
                 self._left -= 1
-                self._show(text.removeprefix(NOTE).strip())
+                show(told.strip())
 
 
 class _Work:
@@ -159,7 +164,7 @@ class _Work:
             return
         feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
-            _do(step, self._link, verb=self._verb, feed=feed, on_sent=self._count)
+            _do(step, self._link, verb=self._verb, feed=feed, on_sent=self._count, notes=self._notes())
             return
         feed.on_note = lambda text: self._progress.step_started(self._robot, text, None)
         try:
@@ -174,9 +179,15 @@ class _Work:
         finally:
             feed.close()
 
+    def _notes(self) -> _Notes:
+        return _Notes(
+            note=lambda text: self._progress.note(self._robot, text),
+            now=lambda text: self._progress.step_started(self._robot, text, None),
+        )
+
     def _attend(self, step: Step) -> None:
         """Wait for what goes on without this computer. Its notes are shown as they come; its errors are kept whole."""
-        notes = _Notes(lambda text: self._progress.note(self._robot, text))
+        notes = self._notes()
         self._link.goes_on = True
         result = self._link.session.run(step.argv, limit=step.limit, on_output=notes.hear)
         self._link.goes_on = False
@@ -202,13 +213,25 @@ def _do(
     feed: Iterable[bytes] | None = None,
     on_sent: Callable[[int], None] | None = None,
     on_output: Callable[[bytes], None] | None = None,
+    notes: _Notes | None = None,
 ) -> None:
-    """Run one step and check its proof."""
+    """Run one step and check its proof. The output's lines for a person go to ``notes`` as they come."""
     if step.fresh_login:
         link.reconnect()
     no_input = None if step.until_closed else ()
     stdin = no_input if feed is None else feed
-    result = link.session.run(step.argv, feed=stdin, limit=step.limit, on_sent=on_sent, on_output=on_output)
+    gathered = Kept(KEPT)
+
+    def hear(data: bytes) -> None:
+        gathered.add(data)
+        if notes:
+            notes.hear(data)
+
+    result = link.session.run(
+        step.argv, feed=stdin, limit=step.limit, on_sent=on_sent, on_output=on_output or hear
+    )
+    if not on_output:
+        result = replace(result, output=gathered.text())
     output = output_of(step.argv, result, cure=step.cure, verb=verb)
     # Login scripts may print lines before the answer. Whole lines are compared, so "inactive" is not "active".
     if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):

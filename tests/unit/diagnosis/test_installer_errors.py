@@ -29,6 +29,28 @@ INSTALLERS = [
         "download.docker.com answers the download with 404",
         "docker.io",
     ),
+    *(
+        (output, "the server download.docker.com does not answer", "in some minutes")
+        for output in (
+            (
+                "W: Failed to fetch https://download.docker.com/linux/debian/dists/trixie/InRelease  Could not wait for server"
+                " fd - select (11: Resource temporarily unavailable) [IP: 1.2.3.4 443]\nW: Some index files failed to download."
+                "\nE: Unable to locate package docker-ce"
+            ),
+            "W: Failed to fetch http://download.docker.com/x/InRelease  Connection failed [IP: 1.2.3.4 80]",
+            "W: Failed to fetch http://download.docker.com/x/InRelease  Connection timed out [IP: 1.2.3.4 80]",
+            (
+                '+ sh -c curl -fsSL "https://download.docker.com/linux/debian/gpg" -o /etc/apt/keyrings/docker.asc\n'
+                "curl: (28) Operation too slow. Less than 1 bytes/sec transferred the last 20 seconds"
+            ),
+            "now: works, for 15 s now\npackage server download.docker.com sends nothing for 180 s",
+        )
+    ),
+    (
+        "E: Failed to fetch http://deb.debian.org/debian/dists/x/InRelease  Could not resolve 'deb.debian.org'",
+        "the robot cannot resolve deb.debian.org",
+        "ping",
+    ),
     (
         "curl: (22) The requested URL returned error: 503",
         "a server answers the robot's download with 503",

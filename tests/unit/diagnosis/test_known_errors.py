@@ -407,6 +407,24 @@ HEARD = [
         "the image was built for linux/amd64/v3",
         "build the image for the plain processor",
     ),
+    (
+        # Docker 26.1
+        (
+            "Error response from daemon: image with reference talker:fleet-1 was found but does not match the specified"
+            " platform: wanted linux/amd64, actual: linux/amd64/v3"
+        ),
+        "the image talker:fleet-1 was built for linux/amd64/v3, a newer processor",
+        "GOAMD64",
+    ),
+    (
+        # Docker 28
+        (
+            "Error response from daemon: image with reference talker:fleet-1 was found but its platform (linux/arm64) does not"
+            " match the specified platform (linux/amd64)"
+        ),
+        "the image talker:fleet-1 is for another platform: its platform (linux/arm64) does not match",
+        "platform",
+    ),
     ("talker has ended with code 132", "a program uses instructions that the robot's processor", "-march"),
     ("date: cannot set date: Invalid argument", "the robot's clock cannot be set", "timedatectl set-ntp"),
 ]
@@ -462,6 +480,7 @@ def test_the_same_command_again_is_a_cure_only_for_what_passes() -> None:
         "the package archive changed during the download",
         "the image arrived damaged or incomplete",
         "the package server {0} answers {1}: it is overloaded or down",
+        "the server {0} does not answer",
         "a server answers the robot's download with {0}",
     }
 

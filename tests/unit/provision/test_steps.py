@@ -212,8 +212,8 @@ def test_every_step_is_bounded() -> None:
         robot=robot(), facts=BLANK, script=SCRIPT, now=NOW, by="", bounds=apt.Bounds(lock_timeout=5, limit=7)
     )
     assert all(step.limit for step in plan.steps)
-    assert (step(plan, "install Docker").argv[-5:-2], step(plan, "install Docker").limit) == (
-        ("5", "7", "5"),
+    assert (step(plan, "install Docker").argv[-7:-2], step(plan, "install Docker").limit) == (
+        ("5", "7", "5", "180", "10"),
         42.0,
     )
 

@@ -119,6 +119,22 @@ def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(hom
     assert [line[1:] for line in home.history] == [["ship", "abc", "tim@desktop", "failed: boom"]]
 
 
+def test_a_long_step_shows_what_it_waits_for(home: Home) -> None:
+    """Its lines for a person are shown as they come, and are no part of a proof or a reason."""
+    said = "echo 'now: works, for 15 s now'; echo 'note: x is slow'; echo 'now: waits for x'; echo whole"
+    told = Told()
+    plan = Plan(robot="pi1", summary="", steps=(sh(said, title="install", expect="whole"),))
+    assert applied(home, plan, progress=told).status == "done"
+    assert told.began_with == [
+        ("pi1", "install", None),
+        ("pi1", "works, for 15 s now", None),
+        ("pi1", "waits for x", None),
+    ]
+    assert told.said == [("pi1", "x is slow")]
+    plan = Plan(robot="pi1", summary="", steps=(sh("echo 'it is broken'; echo 'now: works'; exit 1"),))
+    assert applied(home, plan).reason == "it is broken"
+
+
 def test_what_the_robot_is_asked_after_a_failure_is_diagnosed(home: Home) -> None:
     """systemd says that Docker does not start, its journal says why; the cure is that of the reason, for this verb."""
     line = "unable to configure the Docker daemon with file /etc/docker/daemon.json: no such option: foo"
