@@ -8,7 +8,7 @@ from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.stacks import Stacks, images_of, warnings_of
 from fleet.cli.verb import verb
-from fleet.errors import UsageError
+from fleet.errors import ImageError, UsageError
 from fleet.images import build as builds
 from fleet.images import builder
 from fleet.images.docker_cli import buildkit_client
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fleet.cli.stacks import RobotStack
     from fleet.config.compose import Project
     from fleet.config.inventory import Robot
+    from fleet.images.image import Image
 
 _NOT_PULLED = "--pull has no effect, because it is built from Debian images that fleet makes"
 
@@ -64,8 +65,19 @@ def build(
         with screen.progress() as progress:
             builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
         with Store() as store:
-            images = [image for robot, one in wanted for image in images_of(one, robot, store).values()]
+            images = [image for robot, one in wanted for image in _built(one, robot, store)]
         screen.images(list({image.reference: image for image in images}.values()), json=json)
+
+
+def _built(one: RobotStack, robot: Robot, store: Store) -> Iterable[Image]:
+    """The images of a stack after its build. Raises `ImageError` if the build made another one."""
+    try:
+        return images_of(one, robot, store).values()
+    except ImageError as problem:
+        if "fab build" not in problem.cure:
+            raise
+        cure = "`FROM --platform` in the Dockerfile or the image's own platform decides: correct it, or `platform:` in the inventory"
+        raise ImageError(problem.what, cure=cure) from None
 
 
 def _for_platform(robots: Sequence[Robot], platform: str) -> Sequence[Robot]:

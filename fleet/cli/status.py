@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from fleet.plan.outcome import Outcome
-    from fleet.robot.facts import Container, Facts, StackFacts
+    from fleet.robot.facts import Container, Docker, Facts, StackFacts
 
 EVENT_COLUMNS = ("robot", "stack", "when (UTC)", "what", "release", "by", "outcome")
 COLUMNS = ("robot", "reachable", "stack", "release", "containers", "data", "docker", "disk free", "temp")
@@ -31,7 +31,7 @@ def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
             ((name, "bold"), ("no", "bold red"), nothing, nothing, (seen.what, "red"), *[nothing] * 4),
         ]
     host = (
-        (seen.docker.version, "") if seen.docker.state == "ready" else (seen.docker.state, "red"),
+        _docker(seen.docker),
         _disk(seen),
         _temperature(seen.host.temperature),
     )
@@ -178,6 +178,13 @@ def _data(there: StackFacts) -> Cell:
     if there.data is None:
         return ("large", "")
     return (human_bytes(there.data) if there.data else "", "")
+
+
+def _docker(docker: Docker) -> Cell:
+    """Docker's version; in red its state if it does not run, and the name of another engine in its place."""
+    if docker.kind not in ("docker", ""):
+        return (f"{docker.kind}, not usable", "red")
+    return (docker.version, "") if docker.state == "ready" else (docker.state, "red")
 
 
 def _disk(facts: Facts) -> Cell:

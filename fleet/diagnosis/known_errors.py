@@ -5,28 +5,47 @@ The tools are Docker, Compose, apt, dpkg, sudo, curl and shells. This is data on
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import re
 
-
-class KnownError(NamedTuple):
-    """``what`` and ``cure`` may contain the groups of ``pattern`` that matched: {0} is the first of them."""
-
-    pattern: str
-    what: str
-    cure: str
-
+from fleet.diagnosis.installer_errors import INSTALLER_ERRORS
+from fleet.diagnosis.known_error import KnownError
+from fleet.diagnosis.packages import PACKAGES
 
 _PROVISION = "run `fab provision`"
+_STARTING = ("ship", "rollback", "start", "restart")
+"""The verbs that show the output of containers, too: a program that is missing there is missing in the image."""
 _SHIP = "run the same command again: layers that arrived complete are not sent again"
-_INTERNET = "check the robot's internet connection: `ping -c 1 deb.debian.org` on the robot"
-_AGAIN = (
-    "wait until it has finished (updates after the first boot take minutes), then run the same command again"
+_CLOCKS = "compare `date -u` on the robot and on this computer: the robot was given the time of this computer"
+_COMPOSE_BY_HAND = "https://docs.docker.com/compose/install/linux"
+_JOURNAL = "`sudo journalctl -u docker` on the robot shows why; fix that, then run the same command again"
+_PLATFORM = "check `platform` in the inventory, then build the image again and ship it"
+_LEVEL = (
+    "build the image for the plain processor: another base image, or no -march and no GOAMD64; then ship it"
 )
-_NAMES = r"(?:[A-Za-z0-9][A-Za-z0-9.-]*)"
+_WORD = r"[\w.+-]+"
+_PACKAGED = "|".join(map(re.escape, PACKAGES))
+
+
+def _missing(words: str) -> str:
+    """The pattern of a shell or a tool that cannot find one of these commands."""
+    # dash and busybox: `name: 1: flock: not found`; bash, sudo, csh: `flock: command not found`; zsh and fish name it last;
+    # GNU's timeout, env, xargs and setsid, and busybox's.
+    return (
+        rf"^(?:\S+: (?:line )?\d+: |-?(?:ba|da|a)?sh: )({words}): not found"
+        rf"|(?:^|[\s:])({words}): (?:[Cc]ommand|inaccessible or) not found"
+        rf"|command not found: ({words})|Unknown command:? '?({words})"
+        rf"|(?:failed to run command|failed to execute|can't execute|^xargs:|^env:) ['\u2018]?({words})['\u2019]?: No such file"
+    )
+
 
 # The first match counts, so causes stand before the errors that follow from them.
 KNOWN_ERRORS = (
-    # The robot itself.
+    # The robot itself. A csh prints a line of noise for each line of a script, so it comes first.
+    KnownError(
+        r"^Badly placed \(\)'s\.|: Event not found\.|^Unmatched ['\"`]",
+        "the login shell on the robot is csh or tcsh, which fleet cannot use",
+        "give the login another shell on the robot: `chsh -s /bin/bash`",
+    ),
     KnownError(
         r"(?i)no space left on device|You don't have enough free space in|disk quota exceeded",
         "the robot's disk is full",
@@ -48,19 +67,26 @@ KNOWN_ERRORS = (
         "`docker stats` on the robot shows which container uses it; use a smaller stack or add swap",
     ),
     KnownError(
-        r"(?i)cannot set date",
+        r"(?i)cannot set date: Operation not permitted",
+        "the robot's system lets nobody set its clock, not even root, as in a container",
+        "set the clock of the computer that the system runs on, such as with `sudo timedatectl set-ntp true` there",
+    ),
+    KnownError(
+        r"(?i)cannot set date|can't set date",
         "the robot's clock cannot be set",
-        "`timedatectl` on the robot shows what controls the clock",
+        "set it on the robot: `sudo timedatectl set-ntp true` takes the time from the network; `timedatectl` shows the result",
     ),
     KnownError(
         r"is not valid yet|certificate is not yet valid|Not live until",
         "the robot's clock is behind, so downloads are rejected",
         "`fab provision` sets the clock",
+        {"provision": _CLOCKS},
     ),
     KnownError(
         r"Release file for (\S+) is expired",
         "the robot's clock is ahead, or {0} is no longer maintained",
         "`fab provision` sets the clock",
+        {"provision": f"{_CLOCKS}; or, if both are right, name another package source on the robot"},
     ),
     KnownError(
         r"^(\S+) is shipping to this robot",
@@ -68,7 +94,12 @@ KNOWN_ERRORS = (
         "wait until that has finished, then run the same command again",
     ),
     KnownError(
-        r"cannot (?:create|remove|move) .*'?\.fleet\b.*: Permission denied",
+        r"(?:cannot|can't) create(?: directory)? ['\u2018]?(?:/\S+/)?\.fleet['\u2019]?: (?:Permission denied|No such file)",
+        "the login user cannot write to its home on the robot",
+        "`ls -ld ~` on the robot shows whose it is; `sudo chown $(id -un): ~` gives it to the login",
+    ),
+    KnownError(
+        r"(?:cannot|can't) (?:create|remove|move) .*'?\.fleet\b.*: Permission denied",
         "something in the robot's ~/.fleet belongs to another user",
         "`sudo chown -R $(id -un): ~/.fleet` on the robot; Docker creates missing bind-mount folders as root",
     ),
@@ -83,97 +114,43 @@ KNOWN_ERRORS = (
         "{0} is not allowed to use sudo",
         "as root on the robot: `usermod -aG sudo {0}`",
     ),
+    KnownError(
+        r"image (?:with reference )?\"?([^\s\"]+?)\"? was found but .*platform\W.*(linux/amd64/v\d)",
+        "the image {0} was built for {1}, a newer processor than linux/amd64 means",
+        _LEVEL,
+    ),
+    KnownError(
+        r"image (?:with reference )?\"?([^\s\"]+?)\"? was found but (.*platform.*)",
+        "the image {0} is for another platform: {1}",
+        _PLATFORM,
+    ),
     # A missing image: Docker then asks a registry, and the errors of that would mislead.
     KnownError(
         r"Unable to find image '([^']+)' locally|pull access denied for ([^, ]+)|No such image: (\S+)|manifest for (\S+) not found"
-        r"|image (?:with reference )?\"?([^\s\"]+)\"? was (?:found but|not found)",
+        r"|image (?:with reference )?\"?([^\s\"]+)\"? was not found",
         "the image {0} is not on the robot",
         "`fab ship` sends it",
+        {
+            "ship": "another command has removed it meanwhile, such as `docker image prune`; run the same command again",
+            "provision": "another command has removed it meanwhile, such as `docker image prune`; run the same command again",
+        },
     ),
-    # apt and dpkg.
-    KnownError(
-        r"It is held by process \d+ \(([^)]+)\)|lock was locked by (\S+) process with pid",
-        "another program on the robot uses apt ({0})",
-        _AGAIN,
-    ),
-    KnownError(
-        r"Could not get lock|Unable to (?:lock (?:directory|the)|acquire the dpkg frontend lock)",
-        "another program on the robot uses apt",
-        _AGAIN,
-    ),
-    KnownError(r"dpkg was interrupted", "dpkg was interrupted while it worked", _PROVISION),
-    KnownError(
-        rf"Temporary failure resolving '([^']+)'|Could not resolve host:? '?({_NAMES})|lookup (\S+)(?: on \S+)?: ",
-        "the robot cannot resolve {0}: no DNS or no internet",
-        _INTERNET,
-    ),
-    KnownError(
-        r"Temporary failure in name resolution",
-        "the robot cannot resolve host names: no DNS or no internet",
-        _INTERNET,
-    ),
-    KnownError(
-        rf"(?:Could not|Unable to) connect to ({_NAMES})|Cannot initiate the connection to ({_NAMES})"
-        rf"|Failed to connect to ({_NAMES}) port",
-        "the robot cannot reach {0}",
-        _INTERNET,
-    ),
-    KnownError(r"curl: \(28\)", "a download took too long", _INTERNET),
-    KnownError(
-        r"trying to overwrite '[^']+', which is also in package (\S+)",
-        "the installed package {0} conflicts with the new one",
-        "`sudo apt-get remove {0}` on the robot, then run the same command again",
-    ),
-    KnownError(
-        r"^dpkg: error processing (?:archive|package) (?:\S*/)?(\S+) \(.*\):\n (.+)",
-        "dpkg could not install {0}: {1}",
-        "`sudo dpkg --configure -a` on the robot repeats the error",
-    ),
-    KnownError(
-        r"ERROR: '([^']+)' not found amongst apt-cache madison results",
-        "there is no Docker {0} for the robot's system",
-        "set another version in the inventory: `apt-cache madison docker-ce` on the robot lists them",
-    ),
-    KnownError(
-        r"ERROR: Unsupported (distribution|operating system) '([^']+)'",
-        "Docker's install script does not support the robot's {0}, {1}",
-        "install Docker on the robot by hand, then run `fab provision` for the rest",
-    ),
-    KnownError(
-        r"no package of this system brings the Compose plugin",
-        "the robot's system has no package with the Compose plugin",
-        "",
-    ),
-    KnownError(
-        r"Unable to locate package (\S+)|Package '([^']+)' has no installation candidate",
-        "the robot's package sources do not have {0}",
-        "`sudo apt-get update` on the robot shows whether they work",
-    ),
-    KnownError(
-        r"The repository '([^']+)' (?:does not have a Release file|is not signed|is no longer signed)",
-        "apt rejects the package source {0}",
-        "fix or remove it on the robot, in /etc/apt/sources.list.d/",
-    ),
-    KnownError(
-        r"Hash Sum mismatch|Failed to fetch \S+ +404",
-        "the package archive changed during the download",
-        "run the same command again",
-    ),
-    KnownError(
-        r"have unmet dependencies|you have held broken packages|Unmet dependencies",
-        "apt cannot resolve the dependencies of the robot's packages",
-        "`sudo apt-get --fix-broken install` on the robot",
-    ),
+    *INSTALLER_ERRORS,
     # Docker.
     KnownError(
         r"(?i)permission denied while trying to connect to the Docker|docker\.sock: connect: permission denied",
         "the login user is not allowed to use Docker",
         _PROVISION,
+        {
+            "provision": "compare `ls -l /var/run/docker.sock` and `id` on the robot: the socket's group must be one of the "
+            "login's"
+        },
     ),
     KnownError(
         r"unable to configure the Docker daemon with file \S+: (.+)",
         "Docker rejects its configuration: {0}",
         "fix /etc/docker/daemon.json on the robot, then run `fab provision`",
+        {"provision": "fix /etc/docker/daemon.json on the robot, then run the same command again"},
     ),
     KnownError(
         r"(?i)iptables.*(?:No chain/target/match|does not exist|can't initialize)|Failed to Setup IP tables",
@@ -184,11 +161,19 @@ KNOWN_ERRORS = (
         r"(?i)Cannot connect to the Docker daemon|failed to connect to the docker API",
         "Docker is not running",
         f"{_PROVISION}; `journalctl -u docker` on the robot shows why it stopped",
+        {"provision": _JOURNAL},
+        vague=True,
+    ),
+    KnownError(
+        r"failed to start daemon: (.+)",
+        "Docker does not start: {0}",
+        _JOURNAL,
     ),
     KnownError(
         r"Job for docker\.service failed|docker\.service: (?:Start request repeated|Failed with result)",
         "Docker does not start",
-        "`journalctl -u docker` on the robot shows why",
+        _JOURNAL,
+        vague=True,
     ),
     KnownError(
         r"Unit \S*docker\.service is masked",
@@ -200,6 +185,10 @@ KNOWN_ERRORS = (
         r"|Unit (?:file )?docker\.service (?:does not exist|not found|could not be found)",
         "Docker is not installed",
         _PROVISION,
+        {
+            "provision": "`ls -l /usr/bin/docker* /usr/local/bin/docker*` on the robot shows whether the script installed it "
+            "outside the PATH of logins by SSH"
+        },
     ),
     KnownError(
         # Without the plugin, `docker` parses Compose's options as its own.
@@ -207,16 +196,36 @@ KNOWN_ERRORS = (
         r"|unknown (?:shorthand )?flag: .*\s+(?:See 'docker --help'|Usage: +docker \[OPTIONS\])",
         "Docker's Compose plugin is missing",
         _PROVISION,
+        {"provision": f"install it on the robot by hand: {_COMPOSE_BY_HAND}"},
     ),
     KnownError(
         r"(?i)exec format error",
         "a program was built for another processor",
-        "check `platform` in the inventory, then run `fab build` and `fab ship`",
+        _PLATFORM,
+        {
+            "provision": "compare `uname -m`, `dpkg --print-architecture` and `docker version` on the robot: its Docker is for "
+            "another processor than its system"
+        },
     ),
     KnownError(
         r"(?i)no matching manifest for (\S+)",
         "the image does not exist for {0}",
-        "check `platform` in the inventory, then run `fab build` and `fab ship`",
+        _PLATFORM,
+    ),
+    KnownError(
+        r"(?i)CPU does not support (x86-64-v\d)|AMD64 processors with (v\d) microarchitecture",
+        "the image needs a newer processor ({0}) than the robot has",
+        _LEVEL,
+    ),
+    KnownError(
+        r"platform \((linux/amd64/v\d)\) does not match the detected host platform",
+        "the image was built for {0}, a newer processor than the robot has",
+        _LEVEL,
+    ),
+    KnownError(
+        r"(?i)illegal instruction|(?:with code|exit code|exited) \(?132\b",
+        "a program uses instructions that the robot's processor does not have",
+        _LEVEL,
     ),
     KnownError(
         r"(?i)invalid diffID for layer|wrong diff id|layers from manifest don't match|unexpected EOF|invalid tar header",
@@ -278,6 +287,7 @@ KNOWN_ERRORS = (
         r"no configuration file provided|cannot change directory to .*releases/([\w.-]*)|stat \S*compose\.yaml: no such file",
         "the release is not on the robot",
         "`fab ship` writes it",
+        {"ship": "another command has removed it meanwhile; run the same command again"},
     ),
     KnownError(
         r"(yaml: .+)|validating \S+: (.+)|(?:parsing \S+: |)(services\.\S+ .+)|(service \"[^\"]+\" .*undefined.*)",
@@ -295,10 +305,29 @@ KNOWN_ERRORS = (
         "the robot's Docker does not know {0}: it is too old",
         "update it on the robot: `sudo apt-get update && sudo apt-get upgrade`",
     ),
-    # Shells.
+    # Shells and commands.
     KnownError(
-        r"failed to run command .([\w./-]+).: No such file|sh: \d+: ([\w./-]+): not found|(\S+): command not found",
-        "{0} is not installed",
-        "",
+        r"This account is (?:currently )?not available",
+        "the login's shell on the robot runs no commands",
+        "give the login a shell: `sudo usermod -s /bin/bash LOGIN` on the robot; or name another `user:` in the inventory",
+    ),
+    KnownError(
+        r"BusyBox v\S+ .*multi-call binary\.\s+Usage: (\S+)",
+        "{0} on the robot is busybox's, which lacks an option that fleet needs",
+        "`sudo apt-get install {package}` on the robot",
+    ),
+    KnownError(
+        _missing(_PACKAGED),
+        "the command {0} is missing on the robot",
+        "`sudo apt-get install {package}` on the robot",
+        dict.fromkeys(
+            _STARTING, "if a container needs it, install {package} in its image; else on the robot"
+        ),
+    ),
+    KnownError(
+        _missing(_WORD),
+        "the command {0} is missing on the robot",
+        "install the package that has it: `apt-cache search {0}` on the robot may find it",
+        dict.fromkeys(_STARTING, "if a container needs it, install it in its image; else on the robot"),
     ),
 )

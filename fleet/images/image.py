@@ -61,7 +61,13 @@ def tagged_for(reference: str, platform: str) -> str:
 
 
 def platform(*, os: str, architecture: str, variant: str = "") -> str:
-    """Docker's name of a platform; 32-bit ARM without a variant counts as v7, and arm64 has no other variant than v8."""
+    """Docker's name of a platform.
+
+    32-bit ARM without a variant counts as v7, and arm64 has no other variant than v8. amd64 is v1: Docker on a robot of
+    linux/amd64 refuses an image for v3.
+    """
+    if architecture == "amd64" and variant not in ("", "v1"):
+        return f"{os}/{architecture}/{variant}"
     if architecture != "arm":
         return f"{os}/{architecture}"
     return f"{os}/{architecture}/{variant or 'v7'}"

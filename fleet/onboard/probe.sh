@@ -18,6 +18,21 @@ section login
 id -un
 printf '%s\n' "$HOME"
 id -Gn
+section home
+if [ ! -d "$HOME" ]; then
+    echo missing
+elif [ ! -e "$HOME/.fleet" ] && [ ! -w "$HOME" ] && [ "$(stat -c %u "$HOME" 2>/dev/null)" != "$(id -u)" ]; then
+    echo foreign
+fi
+section missing
+for name in awk cat cp cut date diff grep head id mkdir mv readlink rm sed setsid sha256sum sleep sort stat sync \
+    tail tar tr xargs; do
+    command -v "$name" >/dev/null || echo "$name"
+done
+# Busybox has these too, without the options that the scripts use.
+env -C / true 2>/dev/null || echo env
+flock --version >/dev/null 2>&1 || echo flock
+find / -maxdepth 0 -printf '' 2>/dev/null || echo find
 section sudo
 if [ "$(id -u)" = 0 ]; then
     echo root
@@ -35,7 +50,8 @@ sed -n 's/^MemTotal: *\([0-9]*\) kB$/\1/p' /proc/meminfo
 
 info=
 if command -v docker >/dev/null; then
-    info=$(docker info --format '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}' 2>/dev/null)
+    info=$(docker info --format '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}
+{{range .SecurityOptions}}{{println .}}{{end}}' 2>/dev/null)
 fi
 root=${info%% *}
 case $info in *io.containerd.snapshotter*) root=/var/lib/containerd ;; esac
@@ -44,7 +60,14 @@ df -Pk "${root:-/var/lib/docker}" 2>/dev/null || df -Pk /var/lib
 section 'home disk'
 df -Pk "$HOME/.fleet" 2>/dev/null || df -Pk "$HOME"
 section store
-printf '%s\n' "$info"
+printf '%s\n' "$info" | head -n 1
+# Which engine `docker` leads to: snap's, one that runs without root, podman's.
+section engine
+printf '%s\n' "$info" | tail -n +2
+program=$(command -v docker) && readlink -f "$program"
+for file in /snap/docker/current "$HOME/.config/systemd/user/docker.service"; do
+    [ ! -e "$file" ] || echo "there is $file"
+done
 section temperature
 cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
 section emulates
@@ -63,7 +86,7 @@ cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2
 section packages
 # shellcheck disable=SC2016  # the braces are dpkg-query's
 dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
-    docker-compose docker-compose-v2 zstd 2>/dev/null | sed -n 's/^ii *//p'
+    docker-compose docker-compose-v2 podman-docker zstd 2>/dev/null | sed -n 's/^ii *//p'
 section interrupted
 ls /var/lib/dpkg/updates 2>/dev/null
 grep -E '^Status: .* (half-configured|half-installed|unpacked)$' /var/lib/dpkg/status 2>/dev/null
@@ -100,7 +123,7 @@ old=$(readlink "$HOME/.fleet/current" 2>/dev/null)
 
 if command -v docker >/dev/null; then
     section docker
-    docker version --format '{{.Server.Version}}' 2>&1
+    docker version --format '{{.Server.Version}}{{range .Server.Components}} {{.Name}}{{end}}' 2>&1
     section client
     docker --version 2>/dev/null
     section compose

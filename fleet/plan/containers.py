@@ -34,6 +34,7 @@ def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request
     return Plan(
         robot=robot.name,
         summary=f"{verb} release {release}",
+        verb=verb,
         steps=(compose_steps.swap(verb, stack, release, seen=there.current, request=request),),
     )
 
@@ -58,6 +59,7 @@ def remove(*, robot: Robot, stack: str, facts: Facts, by: str, data: bool = Fals
     return Plan(
         robot=robot.name,
         summary=f"{' and '.join(filter(None, what))} removed",
+        verb="remove",
         steps=(*off, *deleted),
     )
 

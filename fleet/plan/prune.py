@@ -41,6 +41,7 @@ def plan(*, robot: Robot, facts: Facts, stacks: Iterable[str], keep: int) -> Pla
     return Plan(
         robot=robot.name,
         summary=" and ".join(step.title for step in steps),
+        verb="prune",
         steps=steps,
         forecast=_frees(steps, facts),
     )

@@ -61,6 +61,7 @@ def plan(
     return Plan(
         robot=robot.name,
         summary=f"release {release.id}",
+        verb="ship",
         steps=(
             *((compose_steps.adopt(legacy),) if legacy else ()),
             compose_steps.write(release, home=facts.login.home),
@@ -104,6 +105,7 @@ def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Reques
     return Plan(
         robot=robot.name,
         summary=f"back to release {target}",
+        verb="rollback",
         steps=(
             _check(stack, target),
             compose_steps.swap("rollback", stack, target, seen=there.current, request=request),

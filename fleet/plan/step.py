@@ -79,8 +79,8 @@ class Step:
     white space. ``fresh_login``: the step runs on a new connection, because group membership is read at login.
     ``until_closed``: its standard input is held open, and it ends with the connection. ``harmless``: it touches nothing
     that runs, so if it fails there is nothing to recover yet. ``resumes``: run again, it continues where it stopped, so it
-    is run again after a lost link. ``detached``: it goes on without the desktop, and the lines of its output that begin
-    with ``note:`` are shown as they come.
+    is run again after a lost link. ``detached``: it goes on without the desktop. Of the output, lines that begin with ``note:`` are
+    shown as they come, and those that begin with ``now:`` until the next one.
     """
 
     title: str
@@ -109,8 +109,8 @@ class Record:
 class Plan:
     """What will be done to one robot, or to one of its stacks.
 
-    ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added to
-    the reason. ``recover`` runs then, and undoes what the plan has begun. ``afterwards`` runs when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot
+    ``verb`` is the verb that made the plan: no cure tells a user to run it. ``explain`` runs when a step fails that is not ``harmless``, or comes after one that is not; what it prints is added to
+    the reason, and is searched for the cause. ``recover`` runs then, and undoes what the plan has begun. ``afterwards`` runs when all steps have succeeded; what fails of it is no failure. A plan without steps leaves the robot
     as it is, and ``summary`` says why; otherwise ``summary`` says what the robot will have become. ``stack`` is named if
     the plan is about one of several. ``forecast`` is what is expected of it: bytes, time, disk. ``transfer`` is how the
     images are sent, if any are. ``record`` goes into the history of the robot as a whole; a stack's own is written by what
@@ -120,6 +120,7 @@ class Plan:
     robot: str
     summary: str
     stack: str = ""
+    verb: str = ""
     steps: tuple[Step, ...] = ()
     explain: tuple[Step, ...] = ()
     recover: tuple[Step, ...] = ()

@@ -26,32 +26,38 @@ class Bounds:
 
     ``lock_timeout``: how long to wait until other programs release apt's locks; on a Pi the updates of a first boot take
     minutes. ``limit``: how long one command may run; Docker's script has no limit of its own, and SD cards are slow.
-    ``pause``: time between two attempts while apt is locked.
+    ``pause``: time between two attempts while apt is locked. ``silence``: for how long no byte may arrive while something is
+    downloaded; apt gives up a list of a silent server after four times ``answer``, and goes on without it, so this is for
+    several. ``answer``: how long a package server may take to send the next bytes.
     """
 
     lock_timeout: int = 600
     limit: int = 1200
     pause: int = 5
+    silence: int = 180
+    answer: int = 10
 
 
 def run(title: str, argv: tuple[str, ...], *, facts: Facts, bounds: Bounds, cure: str = "") -> Step:
     """The step that runs ``argv``, a command that uses apt, as root; it is run again while apt is locked."""
     environment = ("env", "LC_ALL=C", "DEBIAN_FRONTEND=noninteractive")
-    times = (str(bounds.lock_timeout), str(bounds.limit), str(bounds.pause))
+    seconds = (bounds.lock_timeout, bounds.limit, bounds.pause, bounds.silence, bounds.answer)
     return Step(
         title=title,
-        argv=as_root(facts, *environment, "sh", "-c", onboard.text("apt_run.sh"), "apt_run", *times, *argv),
+        argv=as_root(
+            facts, *environment, "sh", "-c", onboard.text("apt_run.sh"), "apt_run", *map(str, seconds), *argv
+        ),
         limit=bounds.lock_timeout + bounds.limit + 30.0,
         cure=cure,
     )
 
 
-def reachable() -> Step:
-    """The step that checks whether the robot reaches any of its package archives, and fails within seconds if not."""
+def reachable(*, bounds: Bounds) -> Step:
+    """The step that checks whether any of the robot's package servers answers, and fails within seconds if not."""
     return Step(
         title="check that the robot reaches its package archive",
-        argv=("sh", "-c", onboard.text("apt_reach.sh")),
-        limit=90.0,
+        argv=("sh", "-c", onboard.text("apt_reach.sh"), "apt_reach", str(bounds.answer)),
+        limit=bounds.answer + 75.0,
     )
 
 
@@ -62,7 +68,7 @@ def compose_plugin(*, facts: Facts, bounds: Bounds) -> Step:
         ("sh", "-c", onboard.text("apt_compose.sh")),
         facts=facts,
         bounds=bounds,
-        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then provision again",
+        cure="remove this Docker (`sudo apt-get remove docker.io`; images stay), then run the same command again",
     )
 
 

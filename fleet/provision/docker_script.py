@@ -7,6 +7,7 @@ user can read what will run as root, and pin it by its checksum, first.
 from __future__ import annotations
 
 import hashlib
+import http
 import http.client
 import subprocess
 import threading
@@ -31,6 +32,10 @@ LARGEST = 2_000_000
 
 _CHUNK = 64 * 1024
 
+_KEY = "`script:` under `docker:` in the inventory"
+_LOGIN_PAGE = "open the URL in a browser: the login page of a network may answer instead"
+_OTHER_FILE = f"correct the file, or {_KEY}; Docker's own is at https://get.docker.com"
+
 
 def fetch(source: str, *, sha256: str | None, base: Path, timeout: float = TIMEOUT) -> bytes:
     """The script at ``source``: a URL, or a path relative to the folder ``base``. ``timeout`` is in seconds.
@@ -48,7 +53,7 @@ def fetch(source: str, *, sha256: str | None, base: Path, timeout: float = TIMEO
             cure="read what has changed in the script; if you trust it, put this checksum into the inventory",
         )
     if problem := _problem(script):
-        cure = "open the URL in a browser: the login page of a network may answer instead" if is_url else ""
+        cure = _LOGIN_PAGE if is_url else _OTHER_FILE
         raise UsageError(f"{source} is not a complete shell script: {problem}", cure=cure)
     return script
 
@@ -89,7 +94,8 @@ def _download(url: str, *, timeout: float) -> bytes:
             return _body(response, deadline=time.monotonic() + timeout)
     except urllib.error.HTTPError as problem:
         problem.close()
-        raise DesktopError(f"{url} answers {problem.code} {problem.reason}", cure=cure) from None
+        what = f"{url} answers {problem.code} {problem.reason}"
+        raise DesktopError(what, cure=_cure_of(problem.code)) from None
     except TimeoutError:
         raise DesktopError(f"{url} did not arrive within {timeout:g} s", cure=cure) from None
     except http.client.IncompleteRead as problem:
@@ -116,6 +122,17 @@ def _body(response: http.client.HTTPResponse, *, deadline: float) -> bytes:
     if announced is not None and len(body) < min(announced, LARGEST):
         raise http.client.IncompleteRead(bytes(body), announced - len(body))
     return bytes(body)
+
+
+def _cure_of(status: int) -> str:
+    """The cure if a server answers with an error: it was reached, so the network is well."""
+    if status == http.HTTPStatus.PROXY_AUTHENTICATION_REQUIRED:
+        return "the proxy of this computer wants a password: put it into https_proxy (http://USER:PASSWORD@HOST:PORT)"
+    if status == http.HTTPStatus.TOO_MANY_REQUESTS or status >= http.HTTPStatus.INTERNAL_SERVER_ERROR:
+        return f"wait some minutes, then run the same command again; or save the script and name its path as {_KEY}"
+    return (
+        f"correct {_KEY}: the server has no script at this address; Docker's own is at https://get.docker.com"
+    )
 
 
 def _problem(script: bytes) -> str:

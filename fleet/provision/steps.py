@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.errors import NotReady
+from fleet.plan import readiness
 from fleet.plan.step import Bytes, Plan, Record, Step
 from fleet.provision import apt, daemon_json, sudo
 from fleet.provision.sudo import as_root
@@ -33,6 +34,8 @@ _DEFAULT = apt.Bounds()
 _CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
 """Packages of Debian and Ubuntu that contain files of Docker's own packages; dpkg refuses to install both."""
 
+_AGAIN = "run the same command again"
+
 SCRIPT = f"{HOME}/get-docker.sh"
 PROOF_IMAGE = "fleet-proof"
 
@@ -42,12 +45,6 @@ _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enabl
 _IS_INSTALLED = "command -v docker || { echo 'the script ended without an error, and did not install Docker' >&2; exit 1; }"
 _FINISH = "cat > /etc/systemd/system/fleet-finish.service && systemctl daemon-reload && systemctl enable --quiet fleet-finish"
 _REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
-
-# systemctl only reports that Docker did not start; the reason is in the journal.
-_JOURNAL = (
-    "systemctl is-active --quiet docker"
-    " || journalctl --quiet --unit docker --boot --lines 8 --no-pager --output cat 2> /dev/null"
-)
 
 
 def plan(
@@ -68,7 +65,7 @@ def plan(
         NotReady: the user has to change something on the robot or in the inventory first.
 
     """
-    _check_platform(robot, facts)
+    _check_kind(robot, facts)
     _check_version(robot, facts)
     rotation = daemon_json.steps(robot, facts)
     install = _installation(robot, facts, script=script, bounds=bounds)
@@ -85,6 +82,7 @@ def plan(
     return Plan(
         robot=robot.name,
         summary=_summary(robot, facts),
+        verb="provision",
         steps=(*steps, *_proof(robot)),
         explain=(_journal(facts),),
         recover=(_remove_source(facts),) if needs_script(facts) else (),
@@ -95,7 +93,7 @@ def plan(
 
 def needs_script(facts: Facts) -> bool:
     """Whether Docker's convenience script has to run: no Docker is installed, from any source."""
-    return facts.docker.state == "absent" and not _engine_package(facts)
+    return facts.docker.state == "absent" and not facts.docker.kind and not _engine_package(facts)
 
 
 def _engine_package(facts: Facts) -> str:
@@ -108,11 +106,13 @@ def _summary(robot: Robot, facts: Facts) -> str:
     return f"{which}, ready for {facts.login.name}"
 
 
-def _check_platform(robot: Robot, facts: Facts) -> None:
+def _check_kind(robot: Robot, facts: Facts) -> None:
+    """Check what no step can change: other engines, the system's commands, its processor."""
+    readiness.manageable(facts, then=_AGAIN)
     if robot.platform in facts.host.platforms:
         return
     if not facts.host.platforms:
-        raise NotReady(f"there are no images for its processor ({facts.host.machine or 'unknown'})")
+        raise readiness.no_platform(facts)
     fitting = f"set `platform: {facts.host.platforms[0]}` for {robot.name} in the inventory"
     if facts.host.machine == "aarch64" and facts.host.platforms[0] == "linux/arm/v7":
         raise NotReady(
@@ -128,7 +128,7 @@ def _check_version(robot: Robot, facts: Facts) -> None:
     pin, installed = robot.docker.version, facts.docker.version or facts.docker.client
     if not pin or not installed or _numbers(pin) == _numbers(installed):
         return
-    remove = "remove Docker on the robot (its containers stop; images stay), then provision again"
+    remove = f"remove Docker on the robot (its containers stop; images stay), then {_AGAIN}"
     if _numbers(pin) < _numbers(installed):
         raise NotReady(
             f"Docker {installed} is installed, and the inventory pins {pin}: fleet does not downgrade",
@@ -170,7 +170,7 @@ def _installation(robot: Robot, facts: Facts, *, script: bytes, bounds: apt.Boun
         steps = _by_packages(facts, bounds=bounds)
     broken = facts.packages.interrupted and (steps or facts.docker.state == "stopped")
     return (
-        *((apt.reachable(),) if steps else ()),
+        *((apt.reachable(bounds=bounds),) if steps else ()),
         *((apt.repair(facts=facts, bounds=bounds),) if broken else ()),
         *steps,
     )
@@ -301,6 +301,9 @@ def _remove_source(facts: Facts) -> Step:
 
 
 def _journal(facts: Facts) -> Step:
+    """Show why Docker does not start: systemctl says only that it failed."""
     return Step(
-        title="show the end of Docker's journal", argv=as_root(facts, "sh", "-c", _JOURNAL), limit=20.0
+        title="show the end of Docker's journal",
+        argv=as_root(facts, "sh", "-c", onboard.text("docker_journal.sh"), "docker_journal"),
+        limit=20.0,
     )

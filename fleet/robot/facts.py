@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from fleet.robot.claims import Claim
 
 Sudo = Literal["root", "free", "password", "none"]
+HomeState = Literal["own", "foreign", "missing"]
 EngineState = Literal["ready", "absent", "stopped", "forbidden"]
+EngineKind = Literal["docker", "podman", "rootless", "snap", ""]
 
 
 SETTLED = 60.0
@@ -62,7 +64,8 @@ class Host:
 
     ``identity`` is the same for no two computers, not even for those whose cards are copies: machine-id and boot ID.
     ``machine`` is the kernel's word, ``userland`` dpkg's: they differ where a 64-bit kernel runs a 32-bit system.
-    ``emulates`` names the QEMU handlers that the kernel knows. Unknown memory is 0.
+    ``emulates`` names the QEMU handlers that the kernel knows. Unknown memory is 0. ``missing`` are the commands that the
+    scripts of `fleet.onboard` need and that are not there, or only as busybox's.
     """
 
     identity: str = ""
@@ -73,6 +76,7 @@ class Host:
     temperature: float | None = None
     memory: int = 0
     emulates: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def platforms(self) -> tuple[str, ...]:
@@ -86,13 +90,18 @@ class Host:
 
 @dataclass(frozen=True, kw_only=True)
 class Login:
-    """The user that fleet logs in as; ``home`` is its home directory. ``noise`` is what its login scripts print, which would corrupt streams."""
+    """The user that fleet logs in as; ``home`` is its home directory.
+
+    ``home_state`` is ``foreign`` if the home belongs to another user and has no place for ``~/.fleet``. ``noise`` is what
+    the login scripts print, which would corrupt streams.
+    """
 
     name: str = ""
     home: str = ""
     groups: tuple[str, ...] = ()
     sudo: Sudo = "none"
     noise: str = ""
+    home_state: HomeState = "own"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +121,7 @@ class Disk:
 class Docker:
     """Docker Engine and its clients.
 
+    ``kind`` is the engine that the ``docker`` command leads to, empty without one; fleet can use only ``docker``.
     ``version`` is the engine's and is empty unless the state is ``ready``; ``client`` and ``compose`` are the versions of
     the ``docker`` command and of its Compose plugin. ``data_root`` is often on another disk on Jetsons. ``driver`` is the
     image store's, and ``containerd`` says whether containerd keeps the images. ``members`` are the users of the group
@@ -120,6 +130,7 @@ class Docker:
     """
 
     state: EngineState = "absent"
+    kind: EngineKind = ""
     version: str = ""
     client: str = ""
     compose: str = ""

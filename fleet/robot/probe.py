@@ -19,9 +19,11 @@ from fleet.robot.facts import (
     Container,
     Disk,
     Docker,
+    EngineKind,
     EngineState,
     Facts,
     Fleet,
+    HomeState,
     Host,
     Login,
     Packages,
@@ -125,6 +127,7 @@ def _host(sections: Mapping[str, str]) -> Host:
         temperature=None if temperature is None else temperature / 1000,
         memory=int(memory) * 1024 if re.fullmatch("[0-9]{1,15}", memory) else 0,
         emulates=tuple(path.rpartition("/")[2] for path in sections["emulates"].split()),
+        missing=tuple(sections["missing"].split()),
     )
 
 
@@ -136,6 +139,7 @@ def _login(sections: Mapping[str, str], *, noise: str) -> Login:
         groups=tuple(" ".join(groups).split()),
         sudo=_sudo(sections["sudo"]),
         noise=noise,
+        home_state=_home(sections["home"]),
     )
 
 
@@ -145,6 +149,7 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
     data_root, driver, status = _store(sections["store"])
     return Docker(
         state=state,
+        kind=_kind(sections, there=there, state=state, data_root=data_root),
         version=version,
         client=_client(sections["client"]),
         compose=_compose(sections["compose"]),
@@ -161,9 +166,34 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
 def _engine(answer: str) -> tuple[EngineState, str]:
     """The engine's state and version, from the output of ``docker version``."""
     last = "".join(answer.splitlines()[-1:])
-    if _VERSION.fullmatch(last):  # warnings come before it, such as that of a forbidden ~/.docker/config.json
-        return "ready", last
+    version = last.partition(" ")[0]  # its components follow
+    if _VERSION.fullmatch(
+        version
+    ):  # warnings come before it, such as that of a forbidden ~/.docker/config.json
+        return "ready", version
     return ("forbidden" if "permission denied" in answer.lower() else "stopped"), ""
+
+
+def _kind(sections: Mapping[str, str], *, there: bool, state: EngineState, data_root: str) -> EngineKind:
+    """The engine that the ``docker`` command leads to; if it does not answer, the one that is installed."""
+    client, answer, engine = sections["client"], sections["docker"], sections["engine"].splitlines()
+    # Its shim, its program under Docker's name, and Docker's client on its socket.
+    if client.startswith(("podman version", "docker version")) or "Podman Engine" in answer:
+        return "podman"
+    services = [line for line in engine if line.startswith("there is ")]
+    has_package = {"docker-ce", "docker.io"} & set(sections["packages"].split())
+    if state == "ready":
+        rootless, snap = "name=rootless" in engine, data_root.startswith("/var/snap/")
+    else:
+        rootless = "unix:///run/user/" in answer or (
+            not there and any("/systemd/user/" in s for s in services)
+        )
+        snap = not has_package and any("/snap/docker/" in service for service in services)
+    if rootless:
+        return "rootless"
+    if snap or "/usr/bin/snap" in engine:
+        return "snap"
+    return "docker" if there else ""
 
 
 def _store(line: str) -> tuple[str, str, str]:
@@ -201,6 +231,14 @@ def _sudo(word: str) -> Sudo:
             return word
         case _:
             return "none"
+
+
+def _home(word: str) -> HomeState:
+    match word:
+        case "missing" | "foreign":
+            return word
+        case _:
+            return "own"
 
 
 def _disks(images: str, home: str) -> Disk:

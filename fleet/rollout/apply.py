@@ -20,6 +20,7 @@ from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes
 from fleet.rollout.link import GOES_ON, output_of
 from fleet.rollout.reconnect import RETRY_FOR, RetryTimer
+from fleet.ssh.channel import KEPT, Kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 
 NOTE = "note:"
 """How a line begins that a script on a robot writes for the person who waits for it."""
+
+NOW = "now:"
+"""The same, for a line that holds until the next one: how far a long step is, or what it waits for."""
 
 AGAIN = "run the same command again when the robot is back"
 
@@ -101,8 +105,8 @@ def apply(
 class _Notes:
     """The lines of a script's output that are for the person who waits for it."""
 
-    def __init__(self, show: Callable[[str], None]) -> None:
-        self._show = show
+    def __init__(self, note: Callable[[str], None], now: Callable[[str], None]) -> None:
+        self._shows = {NOTE: note, NOW: now}
         self._rest = b""
         self._left = _MOST_NOTES
 
@@ -112,9 +116,10 @@ class _Notes:
         self._rest = rest[:4096]
         for line in lines:
             text = terminal.plain(line[:4096].decode(errors="replace"))
-            if text.startswith(NOTE) and self._left:
+            word, colon, told = text.partition(":")
+            if (show := self._shows.get(word + colon)) and self._left:
                 self._left -= 1
-                self._show(text.removeprefix(NOTE).strip())
+                show(told.strip())
 
 
 class _Work:
@@ -130,6 +135,7 @@ class _Work:
         retry_for: float,
     ) -> None:
         self._robot = plan.robot
+        self._verb = plan.verb
         self._link = link
         self._open_feed = open_feed
         self._progress = progress
@@ -158,24 +164,38 @@ class _Work:
             return
         feed = self._open(step.feed) if step.feed else None
         if not isinstance(feed, InteractiveFeed):
-            _do(step, self._link, feed=feed, on_sent=self._count)
+            _do(step, self._link, verb=self._verb, feed=feed, on_sent=self._count, notes=self._notes())
             return
         feed.on_note = lambda text: self._progress.step_started(self._robot, text, None)
         try:
-            _do(step, self._link, feed=feed, on_sent=self._count, on_output=feed.on_output)
+            _do(
+                step,
+                self._link,
+                verb=self._verb,
+                feed=feed,
+                on_sent=self._count,
+                on_output=feed.on_output,
+            )
         finally:
             feed.close()
 
+    def _notes(self) -> _Notes:
+        return _Notes(
+            note=lambda text: self._progress.note(self._robot, text),
+            now=lambda text: self._progress.step_started(self._robot, text, None),
+        )
+
     def _attend(self, step: Step) -> None:
         """Wait for what goes on without this computer. Its notes are shown as they come; its errors are kept whole."""
-        notes = _Notes(lambda text: self._progress.note(self._robot, text))
+        notes = self._notes()
         self._link.goes_on = True
         result = self._link.session.run(step.argv, limit=step.limit, on_output=notes.hear)
         self._link.goes_on = False
         if result.code:
             # Compose writes control sequences into logs even without a terminal.
             text = terminal.plain(result.errors[-_TOLD:]).strip() or f"it ended with code {result.code}"
-            raise CommandFailed(text, cure=explain(text)[1] or step.cure, code=result.code, output=text)
+            cure = explain(text, verb=self._verb)[1] or step.cure
+            raise CommandFailed(text, cure=cure, code=result.code, output=text)
 
     def _open(self, feed: Feed) -> Iterable[bytes]:
         return (feed.data,) if isinstance(feed, Bytes) else self._open_feed(feed)
@@ -189,17 +209,30 @@ def _do(
     step: Step,
     link: Link,
     *,
+    verb: str = "",
     feed: Iterable[bytes] | None = None,
     on_sent: Callable[[int], None] | None = None,
     on_output: Callable[[bytes], None] | None = None,
+    notes: _Notes | None = None,
 ) -> None:
-    """Run one step and check its proof."""
+    """Run one step and check its proof. The output's lines for a person go to ``notes`` as they come."""
     if step.fresh_login:
         link.reconnect()
     no_input = None if step.until_closed else ()
     stdin = no_input if feed is None else feed
-    result = link.session.run(step.argv, feed=stdin, limit=step.limit, on_sent=on_sent, on_output=on_output)
-    output = output_of(step.argv, result, cure=step.cure)
+    gathered = Kept(KEPT)
+
+    def hear(data: bytes) -> None:
+        gathered.add(data)
+        if notes:
+            notes.hear(data)
+
+    result = link.session.run(
+        step.argv, feed=stdin, limit=step.limit, on_sent=on_sent, on_output=on_output or hear
+    )
+    if not on_output:
+        result = replace(result, output=gathered.text())
+    output = output_of(step.argv, result, cure=step.cure, verb=verb)
     # Login scripts may print lines before the answer. Whole lines are compared, so "inactive" is not "active".
     if step.expect is not None and not f"\n{output.strip()}".endswith(f"\n{step.expect.strip()}"):
         last = output.strip().splitlines()[-1:] or ["nothing"]
@@ -228,14 +261,14 @@ def _aftermath(
 
     Returns the reason with all details, and the cure.
     """
-    reason = problem.what
+    reason, cure = problem.what, problem.cure
     if isinstance(problem, LinkLost | TimedOut | Unreachable):
         link.reconnect()
     if isinstance(problem, LinkLost | Unreachable):
-        return reason, GOES_ON if step.detached else problem.cure or AGAIN
-    for question in plan.explain if touched else ():
-        if details := _ask(question, link):
-            reason += "\n" + details
+        return reason, GOES_ON if step.detached else cure or AGAIN
+    if details := "\n".join(filter(None, (_ask(question, link) for question in plan.explain if touched))):
+        reason, cure = _enlightened(problem, details, verb=plan.verb)
+    told = reason.partition("\n")[0]
     for undoing in plan.recover if touched else ():
         progress.step_started(plan.robot, undoing.title, None)
         try:
@@ -243,9 +276,20 @@ def _aftermath(
             reason += f"\n(went back: {undoing.title})"
         except RobotError as second:
             reason += f"\nand then `{undoing.title}` failed: {second.what}"
-    for note in _note(plan, outcome=f"failed: {problem.what}"):
+    for note in _note(plan, outcome=f"failed: {told}"):
         _ask(note, link)
-    return reason, problem.cure
+    return reason, cure
+
+
+def _enlightened(problem: RobotError, details: str, *, verb: str) -> tuple[str, str]:
+    """The reason and the cure of a failure, if the robot was asked for ``details``: these may have the cause."""
+    what, cure = problem.what, problem.cure
+    if isinstance(problem, CommandFailed):
+        cause, known_cure = explain(problem.output, code=problem.code, verb=verb, details=details)
+        what, cure = cause or what, known_cure or cure
+    elif not cure:
+        cure = explain("", verb=verb, details=details)[1]
+    return f"{what}\n{details}", cure
 
 
 def _ask(step: Step, link: Link) -> str:

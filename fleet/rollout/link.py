@@ -82,18 +82,32 @@ class Link:
         keep = probe.LONGEST_WITH_IMAGES if images else probe.LONGEST
         answer = self.session.run(probe.command(images=images), limit=30, keep=keep)
         if f"{probe.MARK} end" not in answer.output:
-            reason = answer.errors.strip()[-_TOLD:] or "no answer"
-            raise NotAsPlanned(f"the robot's shell did not run the probe: {reason}")
+            raise _no_probe(answer)
         with _PARSING:
             return probe.parse(answer.output)
 
 
-def output_of(argv: Sequence[str], result: connect.Result, *, cure: str = "") -> str:
-    """Return the output of a command that must succeed. Raises `CommandFailed`, which explains the error output."""
+def _no_probe(answer: connect.Result) -> NotAsPlanned:
+    """Why a login does not run the probe: a csh, a login without a shell, a system without `timeout`."""
+    what, cure = explain.explain(f"{answer.errors}\n{answer.output}", code=answer.code)
+    if cure:
+        return NotAsPlanned(what, cure=cure)
+    said = explain.explain(answer.errors)[0] or "no answer"
+    return NotAsPlanned(
+        f"the robot's shell did not run the probe: {said}",
+        cure="`fab shell` shows what a login gets; fleet needs one that runs commands in a POSIX shell",
+    )
+
+
+def output_of(argv: Sequence[str], result: connect.Result, *, cure: str = "", verb: str = "") -> str:
+    """Return the output of a command that must succeed. Raises `CommandFailed`, which explains the error output.
+
+    ``cure`` is for an unknown error; ``verb`` is the verb that runs.
+    """
     if result.code == 0:
         return result.output
     error_output = (result.errors.strip() or result.output.strip())[-_TOLD:]
-    what, known_cure = explain.explain(error_output)
+    what, known_cure = explain.explain(error_output, code=result.code, verb=verb)
     raise CommandFailed(
         what or f"`{argv[0]}` ended with code {result.code}",
         cure=known_cure or cure,

@@ -74,7 +74,7 @@ class Transport(Protocol):
     def global_request(self, kind: str, data: None = None, wait: bool = True) -> object: ...
 
 
-class _Kept:
+class Kept:
     """Bytes that are kept, up to a number."""
 
     def __init__(self, most: int) -> None:
@@ -108,8 +108,8 @@ class ChannelPump:
         self._channel = channel
         self._transport = transport
         self._link_timeout = link_timeout
-        self._out = _Kept(keep)
-        self._err = _Kept(keep)
+        self._out = Kept(keep)
+        self._err = Kept(keep)
         self._on_errors: OnOutput = self._err.add
         self._alive = time.monotonic()
         self._asked = False

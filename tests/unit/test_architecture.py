@@ -29,7 +29,10 @@ LIBRARIES = {
 
 PURE = {
     *("errors", "platforms", "terminal", "units"),
-    *("diagnosis.explain", "diagnosis.known_errors"),
+    *(
+        f"diagnosis.{name}"
+        for name in ("explain", "installer_errors", "known_error", "known_errors", "packages")
+    ),
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("ros.cdr", "ros.environment", "ros.rosmsg", "ros.rtps", "ros.rtps_graph", "ros.silence"),

@@ -4,13 +4,20 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.cli import build
+from fleet.cli.stacks import RobotStack
+from fleet.config.inventory import StackFiles
+from fleet.errors import ImageError
 from fleet.images.docker_cli import docker
 from fleet.images.emulation import desktop_platform
 from tests.support.project import Done, Project
+from tests.support.samples import PI, PROJECT, STACK
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from fleet.images.image import Image
 
 
 def test_a_dry_run_of_a_build_shows_the_commands(mine: Project) -> None:
@@ -96,3 +103,27 @@ def test_a_build_warns_about_services_that_will_not_hear_each_other(own: Project
     assert "pi1: no message of ROS 2 will arrive between listener and talker" in done.err
     assert "`ipc: host`" in done.err
     assert (done.code, "docker" in done.out) == (0, True)
+
+
+class Shelf:
+    """A store whose images are all for another platform, or whose names Docker refuses."""
+
+    def __init__(self, cure: str) -> None:
+        self._cure = cure
+
+    def find(self, reference: str, platform: str) -> Image:
+        raise ImageError(f"{reference} is not for {platform}", cure=self._cure)
+
+
+@pytest.mark.parametrize(
+    ("cure", "told"),
+    [("run `fab build`", "FROM --platform"), ("correct `image:`", "correct `image:`")],
+)
+def test_a_build_is_not_cured_by_building_again(cure: str, told: str) -> None:
+    """What was just built is for another platform."""
+    one = RobotStack(spec=StackFiles(files=()), project=PROJECT, stack=STACK, environment={}, warnings=())
+    with pytest.raises(ImageError) as caught:
+        build._built(one, PI, Shelf(cure))  # type: ignore[arg-type]  # noqa: SLF001
+    assert caught.value.what == "talker is not for linux/arm64"
+    assert told in caught.value.cure
+    assert "fab build" not in caught.value.cure

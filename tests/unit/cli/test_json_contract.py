@@ -35,10 +35,10 @@ STACK = {"current", "checksum", "releases", "services", "history", "containers",
 STATUS = {
     *("reachable", "healthy"),
     *(f"host.{key}" for key in ("identity", "machine", "userland", "os", "clock")),
-    *(f"host.{key}" for key in ("temperature", "memory", "emulates")),
-    *(f"login.{key}" for key in ("name", "home", "groups", "sudo", "noise")),
+    *(f"host.{key}" for key in ("temperature", "memory", "emulates", "missing")),
+    *(f"login.{key}" for key in ("name", "home", "groups", "sudo", "noise", "home_state")),
     *(f"disk.{key}" for key in ("size", "free", "home_free", "shared")),
-    *(f"docker.{key}" for key in ("state", "version", "client", "compose", "data_root", "driver")),
+    *(f"docker.{key}" for key in ("state", "kind", "version", "client", "compose", "data_root", "driver")),
     *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot", "finish_unit")),
     *("packages.installed", "packages.interrupted", "packages.docker_source"),
     *("fleet.legacy", "fleet.stacks"),
@@ -64,7 +64,10 @@ STEP = {
 }
 PLANS = {
     *("plans", "problems"),
-    *(f"plans[].{key}" for key in ("robot", "summary", "stack", "steps", "explain", "recover", "afterwards")),
+    *(
+        f"plans[].{key}"
+        for key in ("robot", "summary", "stack", "verb", "steps", "explain", "recover", "afterwards")
+    ),
     *(f"plans[].steps[].{key}" for key in STEP),
     *(f"plans[].{key}" for key in ("record", "record.verb", "record.release", "record.by")),
     *("plans[].forecast", "plans[].transfer"),

@@ -53,6 +53,12 @@ def test_a_robot_to_which_nothing_was_shipped() -> None:
     assert row["docker"] == ("absent", "red")
 
 
+@pytest.mark.parametrize("kind", ["podman", "rootless", "snap"])
+def test_another_engine_is_not_shown_as_docker(kind: str) -> None:
+    """It answers with a version too."""
+    assert cells(change(facts(), docker_kind=kind))["docker"] == (f"{kind}, not usable", "red")
+
+
 @pytest.mark.parametrize(
     ("one", "words"),
     [

@@ -1,11 +1,27 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.cli import deploy
 from fleet.diagnosis import explain
 from fleet.diagnosis.known_errors import KNOWN_ERRORS
+from fleet.plan import containers, ship
+from fleet.plan.compose_steps import Request
+from fleet.plan.delivery import Delivery
+from fleet.provision import steps
+from tests.support.samples import NOW, PI, facts, release
+from tests.unit.diagnosis.test_installer_errors import INSTALLERS
+
+if TYPE_CHECKING:
+    from fleet.diagnosis.known_error import KnownError
+
+VERBS = ("", "provision", "ship", "rollback", "prune", "start", "stop", "restart", "remove")
+"""Those that run steps on robots, and none, as when a robot is only looked at."""
+
+REQUEST = Request(by="tim@desktop", run="1")
 
 # What the tools really print: Docker 20.10 and 26.1, Compose 2.26, apt 3.0 and dpkg 1.22, sudo 1.9, curl 8, dash, bash.
 HEARD = [
@@ -32,7 +48,7 @@ HEARD = [
     ),
     (
         "date: cannot set date: Operation not permitted\nThu Jan  1 00:00:00 UTC 1970",
-        "the robot's clock cannot be set",
+        "the robot's system lets nobody set its clock",
         "timedatectl",
     ),
     (
@@ -122,8 +138,8 @@ HEARD = [
     ),
     (
         "E: Package 'docker-ce' has no installation candidate",
-        "the robot's package sources do not have docker-ce",
-        "apt-get update",
+        "Docker's package server has no docker-ce for the robot's system",
+        "docker.io",
     ),
     (
         "E: The repository 'http://deb.debian.org/debian nosuchsuite Release' does not have a Release file.",
@@ -149,7 +165,7 @@ HEARD = [
     (
         "\nERROR: '99.1.1' not found amongst apt-cache madison results\n",
         "there is no Docker 99.1.1 for the robot's system",
-        "apt-cache madison",
+        "version:",
     ),
     (
         (
@@ -208,7 +224,7 @@ HEARD = [
     (
         "docker: no matching manifest for linux/arm/v7 in the manifest list entries.",
         "the image does not exist for linux/arm/v7",
-        "fab build",
+        "platform",
     ),
     (
         'invalid diffID for layer 1: expected "sha256:1", got "sha256:2"',
@@ -313,7 +329,104 @@ HEARD = [
         "fab logs",
     ),
     ("container talker-talker-1 exited (3)", "container talker-talker-1 ended with code 3", "fab logs"),
-    ("bash: line 1: nosuchcommand: command not found", "nosuchcommand is not installed", ""),
+    (
+        "bash: line 1: nosuchcommand: command not found",
+        "the command nosuchcommand is missing on the robot",
+        "apt-cache search nosuchcommand",
+    ),
+    # Which shells and tools say that a command is missing, and how.
+    *(
+        (output, "the command flock is missing on the robot", "apt-get install util-linux")
+        for output in (
+            "sh: 1: flock: not found",  # dash
+            "swap: 54: flock: not found",  # dash, for a script with a name
+            "sh: flock: not found",  # busybox 1.35
+            "swap: line 54: flock: not found",  # busybox 1.36
+            "bash: line 1: flock: command not found",
+            "zsh:1: command not found: flock",
+            "fish: Unknown command: flock",
+            "flock: Command not found.",  # csh, tcsh
+            "sudo: flock: command not found",
+            "timeout: failed to run command \u2018flock\u2019: No such file or directory",
+            "timeout: can't execute 'flock': No such file or directory",  # busybox
+            "setsid: failed to execute flock: No such file or directory",
+            "xargs: flock: No such file or directory",
+            "env: 'flock': No such file or directory",
+        )
+    ),
+    (
+        (
+            "env: invalid option -- 'C'\nBusyBox v1.35.0 (Debian 1:1.35.0-4+deb12u1+b1) multi-call binary.\n\n"
+            "Usage: env [-i0] [-u NAME]... [-] [NAME=VALUE]... [PROG ARGS]"
+        ),
+        "env on the robot is busybox's, which lacks an option that fleet needs",
+        "apt-get install coreutils",
+    ),
+    (
+        # tcsh 6.24 and csh 20110502, given the probe
+        "/bin/sh: Event not found.\nBadly placed ()'s.\nsection: Command not found.\ncat: 2: No such file or directory",
+        "the login shell on the robot is csh or tcsh",
+        "chsh -s /bin/bash",
+    ),
+    ("Unmatched '''.", "the login shell on the robot is csh or tcsh", "chsh -s /bin/bash"),
+    (
+        "This account is currently not available.",
+        "the login's shell on the robot runs no commands",
+        "usermod",
+    ),
+    *(
+        (output, "the login user cannot write to its home on the robot", "sudo chown $(id -un): ~")
+        for output in (
+            "mkdir: cannot create directory '.fleet': Permission denied",
+            "mkdir: cannot create directory \u2018/home/pi/.fleet\u2019: Permission denied",
+            "mkdir: can't create directory '.fleet': Permission denied",  # busybox
+        )
+    ),
+    (
+        "sh: 1: cannot create .fleet/history: Permission denied",  # dash
+        "something in the robot's ~/.fleet belongs to another user",
+        "sudo chown -R",
+    ),
+    (
+        "failed to start daemon: error initializing graphdriver: driver not supported: foo",
+        "Docker does not start: error initializing graphdriver: driver not supported: foo",
+        "journalctl -u docker",
+    ),
+    (
+        "Fatal glibc error: CPU does not support x86-64-v3",  # glibc 2.33 and newer
+        "the image needs a newer processor (x86-64-v3) than the robot has",
+        "build the image for the plain processor",
+    ),
+    (
+        "This program can only be run on AMD64 processors with v3 microarchitecture support.",  # Go
+        "the image needs a newer processor (v3) than the robot has",
+        "GOAMD64",
+    ),
+    (
+        "WARNING: The requested image's platform (linux/amd64/v3) does not match the detected host platform (linux/amd64/v2)",
+        "the image was built for linux/amd64/v3",
+        "build the image for the plain processor",
+    ),
+    (
+        # Docker 26.1
+        (
+            "Error response from daemon: image with reference talker:fleet-1 was found but does not match the specified"
+            " platform: wanted linux/amd64, actual: linux/amd64/v3"
+        ),
+        "the image talker:fleet-1 was built for linux/amd64/v3, a newer processor",
+        "GOAMD64",
+    ),
+    (
+        # Docker 28
+        (
+            "Error response from daemon: image with reference talker:fleet-1 was found but its platform (linux/arm64) does not"
+            " match the specified platform (linux/amd64)"
+        ),
+        "the image talker:fleet-1 is for another platform: its platform (linux/arm64) does not match",
+        "platform",
+    ),
+    ("talker has ended with code 132", "a program uses instructions that the robot's processor", "-march"),
+    ("date: cannot set date: Invalid argument", "the robot's clock cannot be set", "timedatectl set-ntp"),
 ]
 
 
@@ -329,21 +442,66 @@ def test_what_tools_say_is_understood(output: str, what: str, cure: str) -> None
 def test_every_sign_was_heard() -> None:
     """A sign that nothing shows may be wrong, and nobody would know; these few could not be provoked."""
     shown = {
-        next(s for s in KNOWN_ERRORS if re.search(s.pattern, output, re.MULTILINE)) for output, _, _ in HEARD
+        next(s for s in KNOWN_ERRORS if re.search(s.pattern, output, re.MULTILINE)).what
+        for output, _, _ in (*HEARD, *INSTALLERS)
     }
-    assert {sign.what for sign in KNOWN_ERRORS} - {sign.what for sign in shown} == {
+    assert {sign.what for sign in KNOWN_ERRORS} - shown == {
         "the robot's disk cannot be read or written",
         "the robot ran out of memory",
         "the robot cannot resolve host names: no DNS or no internet",
-        "Docker's install script does not support the robot's {0}, {1}",
-        "the robot's system has no package with the Compose plugin",
-        "the package archive changed during the download",
         "apt cannot resolve the dependencies of the robot's packages",
         "Docker cannot set up its network: the robot's kernel lacks iptables modules",
         "a port is already in use on the robot",
         "the robot's kernel does not support memory limits",
         "a file or device on the robot is in use",
     }
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("known", KNOWN_ERRORS, ids=lambda known: known.pattern[:40])
+def test_every_known_error_has_a_cure_that_makes_sense(known: KnownError, verb: str) -> None:
+    """There is one; it is not the verb that is running, and it uses nothing that fleet itself takes away again."""
+    cure = known.cure_during(verb, ["flock", "y"])
+    assert cure
+    assert not (verb and re.search(rf"\bfab {verb}\b", cure))
+    for gone in (steps.SCRIPT, steps.PROOF_IMAGE, "docker.list", "apt-cache madison", "docker-ce"):
+        assert gone not in cure
+
+
+def test_the_same_command_again_is_a_cure_only_for_what_passes() -> None:
+    """Else something has to be done, or waited for, before."""
+    again = {
+        known.what
+        for known in KNOWN_ERRORS
+        for verb in VERBS
+        if known.cure_during(verb, ["flock", "y"]).startswith("run the same command again")
+    }
+    assert again == {
+        "the package archive changed during the download",
+        "the image arrived damaged or incomplete",
+        "the package server {0} answers {1}: it is overloaded or down",
+        "the server {0} does not answer",
+        "a server answers the robot's download with {0}",
+    }
+
+
+def test_verbs_of_other_cures_exist() -> None:
+    """A cure for a verb that is not there would never be shown."""
+    there = {function.__name__ for function in deploy.VERBS}
+    assert {verb for known in KNOWN_ERRORS for verb in known.during} <= there
+    assert there == {*VERBS, "trust"} - {""}
+
+
+def test_plans_say_which_verb_made_them() -> None:
+    """The verbs above are those of the plans."""
+    seen = facts(current="a", releases=("a",), containers=())
+    plans = (
+        ship.plan(robot=PI, release=release(), facts=facts(), delivery=Delivery(), request=REQUEST, keep=3),
+        containers.plan("restart", robot=PI, stack="talker", facts=seen, request=REQUEST),
+        containers.remove(robot=PI, stack="talker", facts=seen, by="tim@desktop"),
+        steps.plan(robot=PI, facts=facts(clock=0.0), script=b"", now=NOW, by="tim@desktop"),
+    )
+    assert [plan.verb for plan in plans] == ["ship", "restart", "remove", "provision"]
 
 
 def test_the_cause_comes_before_what_follows_from_it() -> None:

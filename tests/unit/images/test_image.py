@@ -50,6 +50,8 @@ def test_an_image_is_shipped_under_a_name_that_says_what_it_is() -> None:
         ("linux/arm", "linux/arm/v7", True),
         ("linux/arm/v6", "linux/arm/v7", False),
         ("linux/amd64", "linux/arm64", False),
+        ("linux/amd64", "linux/amd64/v1", True),
+        ("linux/amd64", "linux/amd64/v3", False),
     ],
 )
 def test_platforms_have_more_than_one_name(one: str, other: str, same: bool) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.diagnosis.packages import PACKAGES
 from fleet.images.layer import Blob
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
@@ -224,6 +225,133 @@ def test_an_engine_is_known_by_what_its_client_says(
     program(bare_path, "docker", f'[ "$1" = version ] || exit 1\n{script}')
     seen = parse(probed(tmp_path, "/bin/sh", path=str(bare_path)))
     assert (seen.docker.state, seen.docker.version) == (engine, version)
+
+
+# What podman-docker 4.3 (Debian 12) answers: the version alone is that of an engine that is ready.
+SHIM = """case "$1$2" in
+    --version*) echo 'podman version 4.3.1' ;;
+    version*) case "$*" in *Components*) echo "Error: template: version:1:28: can't evaluate field Components" >&2; exit 125 ;;
+        *) echo 4.3.1 ;; esac ;;
+    *) exit 125 ;;
+esac"""
+
+
+def docker(answer: str, *, client: str = "Docker version 28.2.2, build e6534b4", info: str = "") -> str:
+    """A `docker` command that answers so."""
+    return f"""case "$1" in
+    --version) echo '{client}' ;;
+    version) echo '{answer}' ;;
+    info) printf '%s\\n' '{info}' ;;
+    *) exit 1 ;;
+esac"""
+
+
+DOCKER = docker(
+    "28.2.2 Engine containerd runc docker-init",
+    info="/var/lib/docker overlay2 extfs true\nname=seccomp,profile=builtin\nname=cgroupns\n",
+)
+NOBODY_ANSWERS = (
+    "Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is the docker daemon running?"
+)
+ROOTLESS_STOPPED = NOBODY_ANSWERS.replace("/var/run/", "/run/user/1000/")
+
+
+@pytest.mark.parametrize(
+    ("script", "kind", "state"),
+    [
+        (DOCKER, "docker", "ready"),
+        (docker(NOBODY_ANSWERS), "docker", "stopped"),
+        (SHIM, "podman", "stopped"),
+        # A link from docker to podman, which takes its name.
+        (docker("4.9.3", client="docker version 4.9.3"), "podman", "ready"),
+        # Docker's own client on podman's socket, podman 4.3.
+        (
+            docker(
+                "4.3.1 Podman Engine Conmon OCI Runtime (crun) Engine",
+                info="/var/lib/containers/storage overlay",
+            ),
+            "podman",
+            "ready",
+        ),
+        (
+            docker(
+                "28.2.2 Engine containerd runc docker-init rootlesskit",
+                info="/home/pi/.local/share/docker overlay2\nname=seccomp,profile=builtin\nname=rootless\nname=cgroupns\n",
+            ),
+            "rootless",
+            "ready",
+        ),
+        (docker(ROOTLESS_STOPPED), "rootless", "stopped"),
+        (
+            docker("28.1.1 Engine", info="/var/snap/docker/common/var-lib-docker overlay2\nname=apparmor\n"),
+            "snap",
+            "ready",
+        ),
+    ],
+)
+def test_an_engine_that_is_not_docker_is_known_for_what_it_is(
+    tmp_path: Path, bare_path: Path, script: str, kind: str, state: str
+) -> None:
+    """`docker` is a name that several engines have."""
+    for name in ("head", "tail"):
+        if not (bare_path / name).exists():
+            (bare_path / name).symlink_to(shutil.which(name) or "")
+    program(bare_path, "docker", script)
+    seen = parse(probed(tmp_path, "/bin/sh", path=str(bare_path))).docker
+    assert (seen.kind, seen.state) == (kind, state)
+
+
+def test_a_rootless_docker_outside_the_path_is_seen(tmp_path: Path, bare_path: Path) -> None:
+    """Its installer writes a service of the user, and its programs to ~/bin."""
+    assert parse(probed(tmp_path, "/bin/sh", path=str(bare_path))).docker.kind == ""
+    service = tmp_path / ".config/systemd/user/docker.service"
+    service.parent.mkdir(parents=True)
+    service.touch()
+    assert parse(probed(tmp_path, "/bin/sh", path=str(bare_path))).docker.kind == "rootless"
+    program(bare_path, "docker", DOCKER)
+    assert parse(probed(tmp_path, "/bin/sh", path=str(bare_path))).docker.kind == "docker"
+
+
+def test_commands_that_are_missing_are_named(tmp_path: Path, bare_path: Path) -> None:
+    """Before a script fails without them, with words about something else."""
+    everything = parse(probed(tmp_path)).host.missing
+    assert everything == ()
+    missing = parse(probed(tmp_path, "/bin/sh", path=str(bare_path))).host.missing
+    assert {"flock", "sha256sum", "env", "find", "awk"} <= set(missing)
+    assert not {"cat", "date", "id", "sed"} & set(missing)
+    assert set(missing) <= set(PACKAGES)
+
+
+@pytest.mark.skipif("busybox" not in SHELLS, reason="needs busybox")
+def test_busyboxs_own_commands_are_not_enough(tmp_path: Path) -> None:
+    """Its env has no -C, its flock no --wait."""
+    path = tmp_path / "bin"
+    path.mkdir()
+    busybox = shutil.which("busybox") or ""
+    for name in subprocess.run(
+        (busybox, "--list"), capture_output=True, text=True, check=True
+    ).stdout.split():
+        (path / name).symlink_to(busybox)
+    assert {"env", "flock"} <= set(parse(probed(tmp_path, str(path / "sh"), path=str(path))).host.missing)
+
+
+def test_a_home_that_is_not_the_logins_own_is_seen(tmp_path: Path) -> None:
+    """One that belongs to root, such as after `sudo useradd`, and one that was never made."""
+    assert parse(probed(tmp_path)).login.home_state == "own"
+    other = 65534 if os.geteuid() == 0 else None
+    states = {}
+    for home in ("/usr", "/nosuch"):
+        done = subprocess.run(
+            command(),
+            env={"HOME": home, "PATH": "/usr/bin:/bin"},
+            cwd="/",
+            user=other,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        states[home] = parse(done.stdout).login.home_state
+    assert states == {"/usr": "foreign", "/nosuch": "missing"}
 
 
 @pytest.fixture

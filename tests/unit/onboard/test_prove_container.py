@@ -43,3 +43,14 @@ def test_a_container_that_does_not_run_is_an_error(tmp_path: Path) -> None:
         assert (done.returncode, engine.tags()) == (125, [])
     finally:
         engine.clear()
+
+
+def test_the_reason_is_told_and_not_that_there_is_no_image(tmp_path: Path) -> None:
+    """If the image cannot be made there is none to remove."""
+    docker = tmp_path / "docker"
+    docker.write_text(
+        '#!/bin/sh\n[ "$1" != import ] || { echo "no space left on device" >&2; exit 1; }\necho "No such image: $3" >&2; exit 1\n'
+    )
+    docker.chmod(0o755)
+    done = run("fleet-proof", path=f"{tmp_path}:{os.environ['PATH']}")
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, "no space left on device")

@@ -58,6 +58,7 @@ def test_what_each_verb_does(verb: Verb, has: tuple[Container, ...]) -> None:
     assert planned(verb, robot_with(*has)) == Plan(
         robot="pi1",
         summary=f"{verb} release abc",
+        verb=verb,
         steps=(compose_steps.swap(verb, "talker", "abc", seen="abc", request=REQUEST),),
     )
 

@@ -173,6 +173,7 @@ def test_the_plan_of_the_verb() -> None:
     assert prune.plan(robot=PI, facts=seen, stacks=("talker",), keep=3) == Plan(
         robot="pi1",
         summary="remove 1 old release and 1 old image",
+        verb="prune",
         steps=prune.after(seen, stack="talker", keep=3),
     )
 

@@ -34,8 +34,52 @@ from tests.support.samples import PI, facts
         ),
         (
             {"machine": "armv6l", "userland": "armhf"},
-            "it runs armv6l, and the inventory says linux/arm64",
-            "",
+            "there are no images for its processor (armv6l)",
+            "use a computer that runs linux/arm64, linux/arm/v7 or linux/amd64",
+        ),
+        (
+            {"docker_kind": "podman", "installed": ("podman-docker",)},
+            "its `docker` command leads to podman, which fleet cannot use",
+            "`sudo apt-get remove podman-docker` on the robot (podman itself may stay); then `fab provision --hosts pi1`",
+        ),
+        (
+            {"docker_kind": "podman"},
+            "its `docker` command leads to podman, which fleet cannot use",
+            (
+                "remove what leads to podman on the robot: its `docker` command, DOCKER_HOST, or the link /run/docker.sock; "
+                "then `fab provision --hosts pi1`"
+            ),
+        ),
+        (
+            {"docker_kind": "rootless"},
+            "its Docker is rootless: containers reach neither the robot's network nor its devices",
+            (
+                "`dockerd-rootless-setuptool.sh uninstall` and `docker context use default` on the robot; "
+                "then `fab provision --hosts pi1`"
+            ),
+        ),
+        (
+            {"docker_kind": "snap"},
+            "its Docker is snap's, which cannot read ~/.fleet",
+            (
+                "`sudo snap remove docker` on the robot, which also removes its containers, images and volumes; "
+                "then `fab provision --hosts pi1`"
+            ),
+        ),
+        (
+            {"missing": ("sha256sum", "env", "flock")},
+            "commands that fleet needs are missing on it, or are busybox's: sha256sum, env, flock",
+            "`sudo apt-get install coreutils util-linux` on the robot; then run the same command again",
+        ),
+        (
+            {"home_state": "missing"},
+            "pi has no home directory: /home/pi is missing",
+            "create it on the robot: `sudo mkhomedir_helper pi`, or change it with `usermod`; then run the same command again",
+        ),
+        (
+            {"home_state": "foreign"},
+            "pi cannot write to its home /home/pi, which belongs to another user",
+            "`sudo chown pi: /home/pi` on the robot; then run the same command again",
         ),
     ],
 )

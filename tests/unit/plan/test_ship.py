@@ -78,6 +78,7 @@ def test_the_first_ship() -> None:
     assert shipped(facts()) == Plan(
         robot="pi1",
         summary=f"release {NEW.id}",
+        verb="ship",
         steps=(WRITE, CHECK, LOAD, PROVE, up(NEW.id)),
         forecast="sends 241 MB, whole images",
         transfer="whole images",
@@ -182,7 +183,10 @@ def test_back_to_the_release_before() -> None:
     )
     check = replace(CHECK, argv=compose_steps.compose("talker", "a", "config", "--quiet"))
     assert plan == Plan(
-        robot="pi1", summary="back to release a", steps=(check, up("a", verb="rollback", seen="b"))
+        robot="pi1",
+        summary="back to release a",
+        verb="rollback",
+        steps=(check, up("a", verb="rollback", seen="b")),
     )
 
 

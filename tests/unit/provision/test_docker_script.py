@@ -85,7 +85,28 @@ def test_a_page_that_is_not_there_is_named(tmp_path: Path) -> None:
     with serving(lambda request: request.send_error(404)) as url, pytest.raises(DesktopError) as refused:
         fetched(url, tmp_path)
     assert refused.value.what == f"{url} answers 404 Not Found"
-    assert f"curl -I {url}" in refused.value.cure
+
+
+@pytest.mark.parametrize(
+    ("code", "cure"),
+    [
+        (403, "correct `script:` under `docker:`"),
+        (404, "correct `script:` under `docker:`"),
+        (407, "https_proxy"),
+        (410, "correct `script:` under `docker:`"),
+        (429, "wait some minutes"),
+        (500, "wait some minutes"),
+        (503, "wait some minutes"),
+    ],
+)
+def test_a_server_that_answers_an_error_was_reached(code: int, cure: str, tmp_path: Path) -> None:
+    """So the cure is not to check the internet, and not the verb that was just run alone."""
+    with serving(lambda request: request.send_error(code)) as url, pytest.raises(DesktopError) as refused:
+        fetched(url, tmp_path)
+    assert refused.value.what.startswith(f"{url} answers {code} ")
+    assert cure in refused.value.cure
+    assert "internet" not in refused.value.cure
+    assert "fab provision" not in refused.value.cure
 
 
 def test_a_download_that_breaks_off_is_refused(tmp_path: Path) -> None:
@@ -201,6 +222,7 @@ def test_what_is_no_whole_script_is_refused(content: bytes, problem: str, tmp_pa
     with pytest.raises(UsageError) as refused:
         fetched("x.sh", tmp_path)
     assert f"x.sh is not a complete shell script: {problem}" in refused.value.what
+    assert "correct the file" in refused.value.cure
 
 
 def test_a_login_page_over_the_network_has_a_cure(tmp_path: Path) -> None:

@@ -212,8 +212,8 @@ def test_every_step_is_bounded() -> None:
         robot=robot(), facts=BLANK, script=SCRIPT, now=NOW, by="", bounds=apt.Bounds(lock_timeout=5, limit=7)
     )
     assert all(step.limit for step in plan.steps)
-    assert (step(plan, "install Docker").argv[-5:-2], step(plan, "install Docker").limit) == (
-        ("5", "7", "5"),
+    assert (step(plan, "install Docker").argv[-7:-2], step(plan, "install Docker").limit) == (
+        ("5", "7", "5", "180", "10"),
         42.0,
     )
 
@@ -246,15 +246,31 @@ def test_a_dry_run_shows_script_and_settings() -> None:
             {"userland": "riscv64", "machine": "riscv64"},
             {},
             "there are no images for its processor (riscv64)",
-            "",
+            "use a computer that runs linux/arm64",
         ),
         (
             {"userland": "armhf", "machine": "armv6l"},
             {},
             "there are no images for its processor (armv6l)",
-            "",
+            "use a computer that runs linux/arm64",
         ),
         ({"disk_free": 900_000_000}, {}, "it needs 1.0 GB of free disk, and has 900 MB", "apt-get clean"),
+        ({"missing": ("flock",)}, {}, "commands that fleet needs are missing", "apt-get install util-linux"),
+        ({"home_state": "foreign"}, {}, "pi cannot write to its home", "sudo chown pi:"),
+        *(
+            (
+                {"docker_kind": kind, "docker_state": state, "installed": ("podman-docker",)},
+                {},
+                what,
+                f"{cure}; then run the same command again",
+            )
+            for state in ("ready", "stopped", "absent")
+            for kind, what, cure in (
+                ("podman", "its `docker` command leads to podman", "on the robot (podman itself may stay)"),
+                ("rootless", "its Docker is rootless", "`docker context use default` on the robot"),
+                ("snap", "its Docker is snap's", "also removes its containers, images and volumes"),
+            )
+        ),
         ({"daemon_config": "{ bad"}, {}, "/etc/docker/daemon.json is not JSON", "sudo nano"),
         (
             {"docker_state": "ready", "docker_version": "28.1.0"},
@@ -278,6 +294,31 @@ def test_a_robot_that_cannot_be_made_ready_is_refused_with_a_cure(
         planned(change(BLANK, **facts), of=robot(**docker))
     assert what in refused.value.what
     assert cure in refused.value.cure
+    assert refused.value.cure
+    assert "fab provision" not in refused.value.cure
+
+
+def test_no_script_is_fetched_for_a_robot_with_another_engine() -> None:
+    """Nor for one whose Docker is outside the PATH."""
+    assert steps.needs_script(BLANK)
+    assert not steps.needs_script(change(BLANK, docker_kind="snap"))
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        BLANK,
+        change(BLANK, docker_source=True, installed=("docker-buildx",), interrupted=True),
+        change(BLANK, installed=("docker.io",)),
+        change(READY, compose="", installed=("docker-ce",)),
+    ],
+)
+def test_no_step_is_cured_by_provisioning_again(facts: Facts) -> None:
+    """The user just did that."""
+    plan = planned(facts)
+    for one in (*plan.steps, *plan.explain, *plan.recover, *plan.afterwards):
+        assert "provision" not in one.cure
+        assert "docker.list" not in one.cure
 
 
 def test_a_pin_that_fits_is_content() -> None:

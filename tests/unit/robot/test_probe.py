@@ -80,6 +80,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         disk=Disk(size=30_720_000_000, free=10_240_000_000),
         docker=Docker(
             state="ready",
+            kind="docker",
             version="28.0.4",
             client="28.0.4",
             compose="2.34.0",

@@ -38,9 +38,16 @@ def home(sshds: Sshds) -> Home:
 
 
 def sh(
-    script: str, *, title: str = "do", harmless: bool = False, limit: float = 20.0, expect: str | None = None
+    script: str,
+    *,
+    title: str = "do",
+    harmless: bool = False,
+    limit: float = 20.0,
+    expect: str | None = None,
+    cure: str = "",
 ) -> Step:
-    return Step(title=title, argv=("sh", "-c", script), harmless=harmless, limit=limit, expect=expect)
+    argv = ("sh", "-c", script)
+    return Step(title=title, argv=argv, harmless=harmless, limit=limit, expect=expect, cure=cure)
 
 
 def open_bytes(feed: Feed) -> Iterable[bytes]:
@@ -110,6 +117,68 @@ def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(hom
     assert (home.path / "recovered").exists()
     assert not (home.path / "never").exists()
     assert [line[1:] for line in home.history] == [["ship", "abc", "tim@desktop", "failed: boom"]]
+
+
+def test_a_long_step_shows_what_it_waits_for(home: Home) -> None:
+    """Its lines for a person are shown as they come, and are no part of a proof or a reason."""
+    said = "echo 'now: works, for 15 s now'; echo 'note: x is slow'; echo 'now: waits for x'; echo whole"
+    told = Told()
+    plan = Plan(robot="pi1", summary="", steps=(sh(said, title="install", expect="whole"),))
+    assert applied(home, plan, progress=told).status == "done"
+    assert told.began_with == [
+        ("pi1", "install", None),
+        ("pi1", "works, for 15 s now", None),
+        ("pi1", "waits for x", None),
+    ]
+    assert told.said == [("pi1", "x is slow")]
+    plan = Plan(robot="pi1", summary="", steps=(sh("echo 'it is broken'; echo 'now: works'; exit 1"),))
+    assert applied(home, plan).reason == "it is broken"
+
+
+def test_what_the_robot_is_asked_after_a_failure_is_diagnosed(home: Home) -> None:
+    """systemd says that Docker does not start, its journal says why; the cure is that of the reason, for this verb."""
+    line = "unable to configure the Docker daemon with file /etc/docker/daemon.json: no such option: foo"
+    plan = Plan(
+        robot="pi1",
+        summary="",
+        verb="provision",
+        steps=(sh("echo 'Job for docker.service failed because of x.' >&2; exit 1", title="start Docker"),),
+        explain=(sh(f"echo '{line}'"),),
+        record=RECORD,
+    )
+    outcome = applied(home, plan)
+    assert outcome.reason == (
+        f"Docker does not start: Docker rejects its configuration: no such option: foo\n{line}"
+    )
+    assert outcome.cure == "fix /etc/docker/daemon.json on the robot, then run the same command again"
+    assert home.history[0][-1].endswith("Docker rejects its configuration: no such option: foo")
+
+
+@pytest.mark.parametrize(
+    ("step", "reason", "cure"),
+    [
+        (sh("echo 'it is broken' >&2; exit 1"), "it is broken", "daemon.json"),
+        (sh("echo 'it is broken' >&2; exit 1", cure="mend it"), "it is broken", "daemon.json"),
+        (sh("echo 'E: Could not get lock x' >&2; exit 1"), "another program on the robot uses apt", "wait"),
+        (sh("echo no", expect="yes"), "the check after this step failed: it printed 'no'", "daemon.json"),
+        (sh("echo no", expect="yes", cure="mend it"), "the check after this step failed", "mend it"),
+    ],
+)
+def test_whose_cure_is_told(home: Home, step: Step, reason: str, cure: str) -> None:
+    """That of the journal, unless the step itself knew its cause; a proof that failed has no output to search."""
+    line = "unable to configure the Docker daemon with file /etc/docker/daemon.json: no such option: foo"
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,), explain=(sh(f"echo '{line}'"),)))
+    assert outcome.reason.startswith(reason)
+    assert line in outcome.reason
+    assert cure in outcome.cure
+
+
+def test_no_cure_names_the_verb_that_runs(home: Home) -> None:
+    """`fab provision` cures much, but not itself."""
+    step = sh("echo 'E: dpkg was interrupted, you must run x' >&2; exit 1")
+    other = applied(home, Plan(robot="pi1", summary="", verb="ship", steps=(step,)))
+    itself = applied(home, Plan(robot="pi1", summary="", verb="provision", steps=(step,)))
+    assert (other.cure, "dpkg --configure -a" in itself.cure) == ("run `fab provision`", True)
 
 
 def test_a_recovery_that_fails_too_is_told(home: Home) -> None:

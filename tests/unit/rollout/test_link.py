@@ -63,9 +63,48 @@ def test_a_login_that_runs_no_commands_is_told_so(sshds: Sshds) -> None:
     """A restricted shell answers something else, and exits well."""
     server = sshds.start("pi1", options=("ForceCommand echo only git here >&2",))
     link = Link(server.robot())
-    with pytest.raises(NotAsPlanned, match="the robot's shell did not run the probe: only git here"):
+    with pytest.raises(
+        NotAsPlanned, match="the robot's shell did not run the probe: only git here"
+    ) as caught:
+        link.facts()
+    assert "fab shell" in caught.value.cure
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("command", "what", "cure"),
+    [
+        # What tcsh 6.24 says to the first lines of the probe.
+        (
+            "printf '/bin/sh: Event not found.\\nBadly placed () s.\\nsection: Command not found.\\n' >&2; exit 1",
+            "the login shell on the robot is csh or tcsh",
+            "chsh -s /bin/bash",
+        ),
+        (
+            "echo 'This account is currently not available.'; exit 1",
+            "the login's shell on the robot runs no commands",
+            "usermod",
+        ),
+        (
+            "echo 'sh: timeout: not found' >&2; exit 127",
+            "the command timeout is missing on the robot",
+            "apt-get install coreutils",
+        ),
+        ("echo 'sh: Zeile 1: gibt es nicht' >&2; exit 127", "a command is missing on the robot", "package"),
+    ],
+)
+def test_a_login_that_cannot_run_the_probe_is_told_why(
+    sshds: Sshds, command: str, what: str, cure: str
+) -> None:
+    """In one sentence, instead of a line of noise for each line of the script."""
+    server = sshds.start("pi1", options=(f"ForceCommand {command}",))
+    link = Link(server.robot())
+    with pytest.raises(NotAsPlanned) as caught:
         link.facts()
     link.close()
+    assert caught.value.what.startswith(what)
+    assert "\n" not in caught.value.what
+    assert cure in caught.value.cure
 
 
 @pytest.mark.parametrize("where", ["", " >&2"], ids=["output", "errors"])
