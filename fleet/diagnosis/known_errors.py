@@ -294,7 +294,36 @@ KNOWN_ERRORS = (
         "the Compose file is not valid: {0}",
         "fix it, then run the same command again",
     ),
-    KnownError(r"(container \S+ is unhealthy)", "{0}", "`fab logs` shows its output"),
+    KnownError(
+        r'external volume "([^"]+)" not found',
+        "the stack needs the volume {0}, which it says somebody else makes (`external: true`)",
+        "`docker volume create {0}` on the robot, or remove `external:` from the Compose file",
+    ),
+    KnownError(
+        r"network (\S+) declared as external, but could not be found",
+        "the stack needs the network {0}, which it says somebody else makes (`external: true`)",
+        "`docker network create {0}` on the robot, or remove `external:` from the Compose file",
+    ),
+    KnownError(
+        r'invalid Cap(?:Add|Drop): .*"CAP_(\w+)"',
+        "the robot's kernel does not give containers the capability {0}",
+        "remove {0} from `cap_add:` in the Compose file",
+    ),
+    KnownError(
+        r'error mounting "([^"]+)" to rootfs at "([^"]+)".*not a directory',
+        "{0} cannot be mounted at {1}: one of them is a file, and the other one a folder",
+        "correct the path under `volumes:`; if it should be a file, check that it is in the project's folder",
+    ),
+    KnownError(
+        r"(\S+) is not healthy yet after (\d+) s",
+        "{0} did not become healthy within {1} s",
+        "`fab logs` shows its output; a node that needs longer: --wait SECONDS, or `start_period` in the Compose file",
+    ),
+    KnownError(
+        r"(\S+) is unhealthy",
+        "{0} is unhealthy",
+        "`fab logs` shows its output",
+    ),
     KnownError(
         r"container (\S+) exited \((\d+)\)",
         "container {0} ended with code {1}",

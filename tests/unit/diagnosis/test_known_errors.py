@@ -323,9 +323,26 @@ HEARD = [
         'the Compose file is not valid: service "a" depends on undefined service "b"',
         "fix",
     ),
+    ('external volume "maps" not found', "the stack needs the volume maps", "docker volume create maps"),
+    (
+        "network site declared as external, but could not be found",
+        "the stack needs the network site",
+        "docker network create site",
+    ),
+    (
+        'Error response from daemon: invalid CapAdd: capability not supported by your kernel or not available in the current environment: "CAP_SYS_NICE"',
+        "the robot's kernel does not give containers the capability SYS_NICE",
+        "remove SYS_NICE",
+    ),
+    (
+        'error mounting "/home/pi/.fleet/x.yaml" to rootfs at "/params.yaml": mount src=/x, dst=/y: not a directory: unknown: Are you trying to mount a directory onto a file (or vice-versa)?',
+        "/home/pi/.fleet/x.yaml cannot be mounted at /params.yaml: one of them is a file",
+        "under `volumes:`",
+    ),
+    ("talker is not healthy yet after 180 s", "talker did not become healthy within 180 s", "--wait"),
     (
         "dependency failed to start: container talker-talker-1 is unhealthy",
-        "container talker-talker-1 is unhealthy",
+        "talker-talker-1 is unhealthy",
         "fab logs",
     ),
     ("container talker-talker-1 exited (3)", "container talker-talker-1 ended with code 3", "fab logs"),
