@@ -66,9 +66,23 @@ class SdCard:
         finally:
             os.close(handle)
         run("docker", "kill", pi.container)
-        self.remove()
-        self._insert()
+        deadline = time.monotonic() + 30
+        while True:
+            self.remove()
+            self._insert()
+            if self._works():
+                break
+            # Somebody else's namespace still has the mount, and so the file system that was shut down.
+            assert time.monotonic() < deadline, "the card stays shut down"
+            time.sleep(0.2)
         run("docker", "start", pi.container)
+
+    def _works(self) -> bool:
+        try:
+            (self._mount / "works").write_text("")
+        except OSError:
+            return False
+        return True
 
     def remove(self) -> None:
         """Unmount it; whoever looks at it just now has time to end."""
