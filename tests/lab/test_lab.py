@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from tests.lab.conftest import Lab, Pi
 
-GET_DOCKER = Path(__file__).parents[2] / "docker" / "lab" / "get-docker.sh"
+GET_DOCKER = Path(__file__).parents[2] / "fleet" / "lab" / "recipe" / "get-docker.sh"
 
 
 def docker(*arguments: str) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from tests.lab.conftest import Lab, Pi
 
-TIMES = int(os.environ.get("FLEET_FAULTS", "6"))
+TIMES = int(os.environ.get("FLEET_FAULTS", "3"))
 """How often each fault is injected; one takes about 20 s. `make test-faults` sets more."""
 
 SEED = int(os.environ.get("FLEET_SEED", "28"))

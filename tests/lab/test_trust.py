@@ -25,7 +25,7 @@ def stranger(project: Project, pi: Pi) -> Project:
 
 
 def write(project: Project, pi: Pi, *, key: Path) -> None:
-    script = {"script": str(ROOT / "docker" / "lab" / "get-docker.sh")}
+    script = {"script": str(ROOT / "fleet" / "lab" / "recipe" / "get-docker.sh")}
     robot = {"address": pi.address, "user": "pi", "identity_file": str(key), "docker": script}
     project.write("inventory.yaml", json.dumps({"stack": "docker/compose.yaml", "robots": {"pi1": robot}}))
 
