@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import paramiko
 
-from bench import asking, figures, report, streaming, transfer
+from bench import asking, figures, report, resolving, streaming, transfer
 from bench.pairs import ROOT, cpu_per_gigabyte, seconds, spend
 from bench.report import Row, ratio
 from fleet.cli.console import Screen
@@ -36,6 +36,7 @@ TRANSFER_TIME = 2400
 """The same for ``make bench-transfer``."""
 
 ROBOTS = 3
+FLEETS = (1, 20, 200)
 SERVERS = 50
 MEGABYTE = 10**6
 
@@ -88,7 +89,10 @@ def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tup
         asked = servers.compare(rounds=7, within=60)
     cpu = sorted(run.cpu for run in lists)[len(lists) // 2]
     how = f"median of {len(lists)}; {cpu:.2f} s of CPU"
+    screen.say(f"fab build --dry for {', '.join(map(str, FLEETS))} robots")
+    resolved = resolving.rows(FLEETS, folder=folder, environment=environment, rounds=3)
     return (
+        *resolved,
         ratio(f"`fab status`, {SERVERS} SSH servers, beside a bare Paramiko pool", asked, goal=1.5),
         Row(what="`fab --list`", value=seconds(lists), goal=0.7, unit="s", how=how),
     )

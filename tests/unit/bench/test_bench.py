@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bench import asking, report
+from bench import asking, report, resolving
 from bench.pairs import ROOT, Cost, Pairs, compare, cpu_per_gigabyte, spend
 from bench.report import Row
 
@@ -128,6 +128,14 @@ def test_asking_many_robots_takes_little_longer_than_a_bare_pool(
     """Less than three times as long over a few robots, where Python's start is most of it."""
     with asking.servers(8, folder=tmp_path, environment=environment) as servers:
         assert min(servers.compare(rounds=2).ratios) < 3
+
+
+@pytest.mark.usefixtures("desktop")
+def test_twenty_robots_are_read_together(environment: Mapping[str, str], tmp_path: Path) -> None:
+    """Compose runs once for each set of values, side by side: twenty cost nowhere near twenty times one."""
+    one, twenty = resolving.rows((1, 20), folder=tmp_path, environment=environment, rounds=1)
+    assert (one.goal, "20 robots" in twenty.what) == (None, True)
+    assert twenty.value < 5 * one.value
 
 
 def test_the_list_of_verbs_needs_no_slow_library(environment: Mapping[str, str]) -> None:
