@@ -12,6 +12,9 @@ mkdir -p "$part"
 tar -x -p -f - -C "$part"
 # The last file of the archive: tar is content with an archive that was cut between two files.
 [ -e "$part/services" ]
+# Another desktop may write the same release just now.
+exec 9>>"${1%/*}/.unpacking"
+flock 9
 if diff -r "$1" "$part" >/dev/null 2>&1; then
     rm -rf "$part"
 else

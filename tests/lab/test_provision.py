@@ -262,7 +262,8 @@ def test_a_bad_morning_ends_well(tmp_path: Path) -> None:
             "echo 'deb http://deb.debian.org/debian nosuch main' > /etc/apt/sources.list.d/docker.list"
         )
         target.root(f'python3 -c "{hold}" > /dev/null 2>&1 & until [ -e /root/held ]; do sleep 0.05; done')
-        assert mended(target)[:6] == [
+        steps = [title for title in mended(target) if "trying again" not in title]
+        assert steps[:6] == [
             "keep 3 log files of 10m per container",
             "check that the robot reaches its package archive",
             "complete an interrupted installation of packages",
