@@ -51,6 +51,6 @@ A power cut strikes at a random moment of the swap. The virtual Pi has its home 
 own, which is shut down without a flush, so everything that was not synced is lost; then the Pi is killed, and booted again.
 
 `fab provision` installs `fleet-finish.service`, by which a robot finishes an interrupted swap at boot. Without it, Docker
-starts the old release again at boot in all but the moment, less than a second for a stack of one service, between the
-removal of the old containers and the start of the new ones. The next `fab ship` mends that too.
+starts the old release again at boot unless the cut came between the removal of the old containers and the start of the
+new ones. The next `fab ship` mends that.
 """
