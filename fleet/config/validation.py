@@ -145,7 +145,7 @@ def ip(value: str) -> str:
 def environment_value(value: object) -> str | int | float:
     """``value`` if it is text or a number; otherwise raise ValueError with the message."""
     if isinstance(value, bool):
-        raise ValueError("YAML reads yes, no, on, off, true and false as a truth value; quote it")  # noqa: TRY004
+        raise ValueError("YAML reads yes, no, on, off, true and false as a truth value; quote it")  # noqa: TRY004  pydantic wants it
     if isinstance(value, str | int | float):
         return value
     raise ValueError(

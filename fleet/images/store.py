@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 from fleet.errors import DesktopError, ImageError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator
+    from collections.abc import Generator, Iterable
     from types import ModuleType
 
     import docker
@@ -66,20 +66,17 @@ class Store:
             DesktopError: Docker does not answer.
 
         """
-        others = []
+        other = ""
         for name in (tagged_for(reference, platform), one_image(reference)):
             attributes = self._inspected(name)
             if attributes is None:
                 continue
-            for found in self._images(name, attributes, platform):
-                if same_platform(found.platform, platform):
-                    return found
-                others.append(
-                    f"the image {name} was built for {found.platform}, and the robot runs {platform}"
-                )
+            found = self._image(name, attributes, platform)
+            if same_platform(found.platform, platform):
+                return found
+            other = f"the image {name} was built for {found.platform}, and the robot runs {platform}"
         raise ImageError(
-            others[-1] if others else f"there is no image {reference} for {platform} here",
-            cure="run `fab build`",
+            other or f"there is no image {reference} for {platform} here", cure="run `fab build`"
         )
 
     def _inspected(self, name: str) -> dict[str, Any] | None:
@@ -96,8 +93,8 @@ class Store:
             raise DesktopError(f"asking Docker for image {name} failed: {problem}") from problem
         return attributes
 
-    def _images(self, name: str, attributes: dict[str, Any], wanted: str) -> Iterator[Image]:
-        """What a name holds: one image in a classic store, in a containerd store one for each of some platforms."""
+    def _image(self, name: str, attributes: dict[str, Any], wanted: str) -> Image:
+        """What a name holds. In a containerd store that may be images for several platforms: the ``wanted`` one, if it is there."""
         shown = image.platform(
             os=attributes["Os"],
             architecture=attributes["Architecture"],
@@ -109,7 +106,9 @@ class Store:
             if config is not None:
                 shown, identity = wanted, f"sha256:{hashlib.sha256(config).hexdigest()}"
                 layers = tuple(json.loads(config)["rootfs"]["diff_ids"])
-        yield Image(reference=name, platform=shown, size=attributes["Size"], identity=identity, layers=layers)
+        return Image(
+            reference=name, platform=shown, size=attributes["Size"], identity=identity, layers=layers
+        )
 
     @functools.cached_property
     def _containerd(self) -> bool:
@@ -126,17 +125,21 @@ class Store:
         The file is named by the ID, the platform, and the digest of its content.
         """
         kept = folder() / f"{image_id.removeprefix('sha256:')}.{platform.replace('/', '-')}"
-        for path in kept.parent.glob(f"{kept.name}.*"):
-            data = path.read_bytes()
-            if path.name == f"{kept.name}.{hashlib.sha256(data).hexdigest()}":
-                return data
-        small = _small_members(self._saved(name))
-        config = image.configuration(small, platform)
+        with contextlib.suppress(OSError):
+            for path in kept.parent.glob(f"{kept.name}.*"):
+                data = path.read_bytes()
+                if path.name == f"{kept.name}.{hashlib.sha256(data).hexdigest()}":
+                    return data
+        try:
+            config = image.configuration(_small_members(self._saved(name)), platform)
+        except tarfile.TarError as problem:
+            raise DesktopError(f"what Docker saves of image {name} cannot be read: {problem}") from problem
         if config is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            part = kept.with_name(f".{os.getpid()}.{threading.get_ident()}")
-            part.write_bytes(config)
-            part.replace(kept.with_name(f"{kept.name}.{hashlib.sha256(config).hexdigest()}"))
+            with contextlib.suppress(OSError):  # it is read again then
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                part = kept.with_name(f".{os.getpid()}.{threading.get_ident()}")
+                part.write_bytes(config)
+                part.replace(kept.with_name(f"{kept.name}.{hashlib.sha256(config).hexdigest()}"))
         return config
 
     def export(self, wanted: Image) -> Generator[bytes]:
@@ -177,7 +180,10 @@ class Store:
             with self._names_lock:
                 self._names[reference] -= 1
                 if not self._names[reference]:
-                    self._client.images.remove(reference, noprune=True)
+                    with contextlib.suppress(
+                        self._errors.DockerException, OSError
+                    ):  # somebody else removed it
+                        self._client.images.remove(reference, noprune=True)
 
 
 def folder() -> Path:

@@ -60,13 +60,13 @@ tell() { # PID
             echo "package server $from sends nothing for $quiet s" | tee "$work/silent"
             kill "$1"
         elif [ "$quiet" -gt 0 ]; then
-            echo "now: waits for package server $from: nothing has arrived for $quiet s"
+            echo "now: waiting for package server $from: nothing has arrived for $quiet s"
         elif printf '%s\n' "$running" | grep -qxE 'dpkg.*'; then
-            echo "now: installs packages, for $seconds s now"
+            echo "now: installing packages, $seconds s so far"
         elif [ "$now" -gt "$first" ]; then
-            echo "now: downloads, $(((now - first) / 1000)) MB in $seconds s"
+            echo "now: downloading, $(((now - first) / 1000)) MB in $seconds s"
         else
-            echo "now: works, for $seconds s now"
+            echo "now: working, $seconds s so far"
         fi
     done
 }

@@ -165,7 +165,8 @@ name_image() {
     }
     container=$(docker create --label "$incoming" "$2" true) || exit "$unusable"
     docker rm --volumes "$container" >/dev/null
-    tail -c +"$(($7 + 1))" "$skeleton" | head -c "$8" >../receipts/new && mv ../receipts/new "../receipts/$3"
+    tail -c +"$(($7 + 1))" "$skeleton" | head -c "$8" >../receipts/new
+    { sync ../receipts/new 2>/dev/null || sync; } && mv ../receipts/new "../receipts/$3"
     docker tag "$2" "$4" # the private name stays for now: one image may be needed under two names
 }
 sync # after a power cut the card has the layers, and not only their names

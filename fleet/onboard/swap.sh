@@ -277,7 +277,10 @@ stay_at_boot() {
     # shellcheck disable=SC2086 # one word per container
     ids=$([ -z "$ids" ] || docker inspect --format '{{.Id}} {{.HostConfig.RestartPolicy.Name}}' $ids | awk '$2 == "unless-stopped" { print $1 }')
     [ -n "$ids" ] || return 0
-    printf '%s\n' "$ids" | put "$here/policies"
+    {
+        printf '%s\n' "$ids"
+        cat "$here/policies" 2>/dev/null # of a swap that a power cut has ended
+    } | put "$here/policies"
     # shellcheck disable=SC2086
     docker update --restart always $ids >/dev/null
     sync

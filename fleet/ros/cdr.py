@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import re
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fleet.ros.rosmsg import DEEPEST, MOST_VALUES, Undecodable
+from fleet.ros.rosmsg import Field, Reader, Undecodable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -21,16 +20,6 @@ if TYPE_CHECKING:
 
 MARK = "=== "
 """Begins the line before each definition that `ros2_types.sh` prints: ``=== std_msgs/String``."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Field:
-    """One line of a definition. ``type`` is built in or ``package/Name``; ``length`` is None for ``[]`` and ``[<=5]``."""
-
-    name: str
-    type: str
-    array: bool
-    length: int | None
 
 
 Types = dict[str, tuple[Field, ...]]
@@ -113,8 +102,8 @@ def decode(data: bytes, type_name: str, types: Mapping[str, Sequence[Field]]) ->
     return message
 
 
-class _Reader:
-    """Reads a message's bytes in order; refuses to read past their end, too deep, or too many values."""
+class _Reader(Reader):
+    """Each number is aligned to its size; the first two bytes say in which order its bytes are."""
 
     def __init__(self, data: bytes, types: Mapping[str, Sequence[Field]]) -> None:
         encoding = data[:2]
@@ -122,22 +111,14 @@ class _Reader:
             raise Undecodable("a message is not in plain CDR, as messages of ROS are")
         self._order = "<" if encoding in (_LITTLE, _LITTLE_2) else ">"
         self._widest = 4 if encoding in (_BIG_2, _LITTLE_2) else 8
-        self._data, self._types = data[4:], types
-        self._at = self._count = 0
-
-    @property
-    def left(self) -> int:
-        return len(self._data) - self._at
+        super().__init__(data[4:], types)
 
     def message(self, type_name: str, *, depth: int) -> dict[str, Value]:
-        if depth > DEEPEST:
-            raise Undecodable(f"{type_name} nests more than {DEEPEST} messages deep")
-        fields = self._types[type_name]
-        if not fields:
+        if not self._types[type_name]:
             self._bytes(1)  # IDL has no empty structures: ROS puts a byte into them
-        return {field.name: self._field(field, depth=depth) for field in fields}
+        return super().message(type_name, depth=depth)
 
-    def _field(self, field: Field, *, depth: int) -> Value:
+    def field(self, field: Field, *, depth: int) -> Value:
         if not field.array:
             return self._value(field.type, depth=depth)
         length = self._length() if field.length is None else field.length
@@ -151,9 +132,7 @@ class _Reader:
         return [self._value(field.type, depth=depth) for _ in range(length)]
 
     def _value(self, kind: str, *, depth: int) -> Value:
-        self._count += 1
-        if self._count > MOST_VALUES:
-            raise Undecodable(f"a message has more than {MOST_VALUES} values")
+        self._count_value()
         if kind in _FORMATS:
             value: Value = self._numbers(_FORMATS[kind], 1)[0]
             return value
@@ -168,9 +147,3 @@ class _Reader:
         width = struct.calcsize(f"={layout}")
         self._bytes(-self._at % min(width, self._widest))
         return struct.unpack(f"{self._order}{count}{layout}", self._bytes(width * count))
-
-    def _bytes(self, count: int) -> bytes:
-        if count > self.left:
-            raise Undecodable(f"a message ends {count - self.left} bytes too early")
-        self._at += count
-        return self._data[self._at - count : self._at]

@@ -36,7 +36,7 @@ class Time(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One line of a definition. ``type`` is built in or ``package/Name``; ``length`` is None for ``[]``."""
+    """One line of a definition. ``type`` is built in or ``package/Name``; ``length`` is None for ``[]`` and ``[<=5]``."""
 
     name: str
     type: str
@@ -101,8 +101,11 @@ def decode(data: bytes, type_name: str, types: Mapping[str, Sequence[Field]]) ->
     return message
 
 
-class _Reader:
-    """Reads a message's bytes in order; refuses to read past their end, too deep, or too many values."""
+class Reader:
+    """Reads a message's bytes in order; refuses to read past their end, too deep, or too many values.
+
+    Each version of ROS has its own ``field``: how numbers, texts and arrays lie in the bytes.
+    """
 
     def __init__(self, data: bytes, types: Mapping[str, Sequence[Field]]) -> None:
         self._data, self._types = data, types
@@ -110,14 +113,35 @@ class _Reader:
 
     @property
     def left(self) -> int:
+        """How many bytes are not read yet."""
         return len(self._data) - self._at
 
     def message(self, type_name: str, *, depth: int) -> dict[str, Value]:
+        """Return the values of the next message, by field. Raises `Undecodable`."""
         if depth > DEEPEST:
             raise Undecodable(f"{type_name} nests more than {DEEPEST} messages deep")
-        return {field.name: self._field(field, depth=depth) for field in self._types[type_name]}
+        return {field.name: self.field(field, depth=depth) for field in self._types[type_name]}
 
-    def _field(self, field: Field, *, depth: int) -> Value:
+    def field(self, field: Field, *, depth: int) -> Value:
+        """Return the value of the next field. Raises `Undecodable`."""
+        raise NotImplementedError
+
+    def _count_value(self) -> None:
+        self._count += 1
+        if self._count > MOST_VALUES:
+            raise Undecodable(f"a message has more than {MOST_VALUES} values")
+
+    def _bytes(self, count: int) -> bytes:
+        if count > self.left:
+            raise Undecodable(f"a message ends {count - self.left} bytes too early")
+        self._at += count
+        return self._data[self._at - count : self._at]
+
+
+class _Reader(Reader):
+    """Little endian, and no padding."""
+
+    def field(self, field: Field, *, depth: int) -> Value:
         if not field.array:
             return self._value(field.type, depth=depth)
         length = self._length() if field.length is None else field.length
@@ -128,9 +152,7 @@ class _Reader:
         return [self._value(field.type, depth=depth) for _ in range(length)]
 
     def _value(self, kind: str, *, depth: int) -> Value:
-        self._count += 1
-        if self._count > MOST_VALUES:
-            raise Undecodable(f"a message has more than {MOST_VALUES} values")
+        self._count_value()
         if kind in _FORMATS:
             value: Value = self._unpack(f"<{_FORMATS[kind]}")[0]
             return value
@@ -142,12 +164,6 @@ class _Reader:
 
     def _length(self) -> int:
         return int(self._unpack("<I")[0])
-
-    def _bytes(self, count: int) -> bytes:
-        if count > self.left:
-            raise Undecodable(f"a message ends {count - self.left} bytes too early")
-        self._at += count
-        return self._data[self._at - count : self._at]
 
     def _unpack(self, layout: str) -> tuple[Any, ...]:
         try:

@@ -43,7 +43,7 @@ INSTALLERS = [
                 '+ sh -c curl -fsSL "https://download.docker.com/linux/debian/gpg" -o /etc/apt/keyrings/docker.asc\n'
                 "curl: (28) Operation too slow. Less than 1 bytes/sec transferred the last 20 seconds"
             ),
-            "now: works, for 15 s now\npackage server download.docker.com sends nothing for 180 s",
+            "now: working, 15 s so far\npackage server download.docker.com sends nothing for 180 s",
         )
     ),
     (

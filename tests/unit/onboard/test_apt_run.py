@@ -152,7 +152,7 @@ def test_a_long_silence_is_told_and_ends_the_command(tmp_path: Path, monkeypatch
     *notes, last = done.stdout.splitlines()
     assert done.returncode == 1
     assert notes[-2:] == [
-        f"now: waits for package server 127.0.0.1: nothing has arrived for {seconds} s" for seconds in (1, 2)
+        f"now: waiting for package server 127.0.0.1: nothing has arrived for {seconds} s" for seconds in (1, 2)
     ]
     assert last == "package server 127.0.0.1 sends nothing for 3 s"
     assert "does not answer" in explain(done.stdout, verb="provision")[0]
@@ -166,7 +166,7 @@ def test_curl_does_not_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
         script = f"echo '+ sh -c curl -fsSL \"http://{site}/gpg\" -o x'; exec curl -fsSL http://{site}/gpg"
         done = run("sh", "-c", script, limit=100, silence=100)
     assert done.returncode == 28
-    assert "now: waits for package server localhost: nothing has arrived for 2 s\n" in done.stdout
+    assert "now: waiting for package server localhost: nothing has arrived for 2 s\n" in done.stdout
     what, _ = explain(done.stdout, code=28, verb="provision")
     assert what == "the server localhost does not answer"
 
@@ -195,14 +195,14 @@ def test_a_command_that_takes_long_shows_how_far_it_is(
     )
     (tmp_path / "du").chmod(0o755)
     assert run("sleep", "3.5").stdout.splitlines() == [
-        f"now: downloads, {seconds} MB in {seconds} s" for seconds in (1, 2, 3)
+        f"now: downloading, {seconds} MB in {seconds} s" for seconds in (1, 2, 3)
     ]
     (tmp_path / "du").write_text("#!/bin/sh\n")
     assert run("sleep", "2.5").stdout.splitlines() == [
-        f"now: works, for {seconds} s now" for seconds in (1, 2)
+        f"now: working, {seconds} s so far" for seconds in (1, 2)
     ]
     (tmp_path / "dpkg").symlink_to(shutil.which("sleep") or "")
-    assert run("dpkg", "1.5").stdout == "now: installs packages, for 1 s now\n"
+    assert run("dpkg", "1.5").stdout == "now: installing packages, 1 s so far\n"
 
 
 def test_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -121,13 +121,13 @@ def test_a_step_that_fails_is_explained_and_what_ran_before_is_started_again(hom
 
 def test_a_long_step_shows_what_it_waits_for(home: Home) -> None:
     """Its lines for a person are shown as they come, and are no part of a proof or a reason."""
-    said = "echo 'now: works, for 15 s now'; echo 'note: x is slow'; echo 'now: waits for x'; echo whole"
+    said = "echo 'now: working, 15 s so far'; echo 'note: x is slow'; echo 'now: waits for x'; echo whole"
     told = Told()
     plan = Plan(robot="pi1", summary="", steps=(sh(said, title="install", expect="whole"),))
     assert applied(home, plan, progress=told).status == "done"
     assert told.began_with == [
         ("pi1", "install", None),
-        ("pi1", "works, for 15 s now", None),
+        ("pi1", "working, 15 s so far", None),
         ("pi1", "waits for x", None),
     ]
     assert told.said == [("pi1", "x is slow")]

@@ -17,7 +17,8 @@ from fleet.ros.rosmsg import DEEPEST, MOST_VALUES, Undecodable, text
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-    from fleet.ros.cdr import Field, Types
+    from fleet.ros.cdr import Types
+    from fleet.ros.rosmsg import Field
 
 SCAN = """=== pkg/Scan
 # what a scanner sees
