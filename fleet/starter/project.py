@@ -117,7 +117,8 @@ def draft(request: Request, *, packages: Sequence[Package], folder: str, there: 
     """
     places = (folder + name for folder in COMPOSE_FOLDERS for name in COMPOSE_FILES)
     compose = next((place for place in places if place in there), "")
-    files = {"inventory.yaml": _inventory(request, stack=compose or "compose.yaml")}
+    ros = 2 if _is_ros_2(request, packages) else 1
+    files = {"inventory.yaml": _inventory(request, stack=compose or "compose.yaml", ros=ros)}
     files["inventory.schema.json"] = json.dumps(json_schema(), indent=2) + "\n"
     if compose:
         note = f"{compose} is the stack, as it is: no Compose file and no Dockerfile are written"
@@ -126,7 +127,14 @@ def draft(request: Request, *, packages: Sequence[Package], folder: str, there: 
     return Draft(files={**files, **stack.files}, notes=stack.notes)
 
 
-def _inventory(request: Request, *, stack: str) -> str:
+def _is_ros_2(request: Request, packages: Sequence[Package]) -> bool:
+    if request.distro:
+        return DISTROS[request.distro] == 2
+    return bool(packages) and all(2 in package.ros for package in packages)
+
+
+def _inventory(request: Request, *, stack: str, ros: int) -> str:
+    domain = "  # Robots of one ROS domain hear each other: 0 to 101.\n  ros: {version: 2, domain: 0}"
     login = f"  # The login.\n  user: {_scalar(request.user)}"
     usual = "  # The login. Left out: what your OpenSSH configuration says.\n  #user: pi"
     lines = [f"  {_scalar(name)}: {_scalar(address)}" for name, address in request.robots.items()]
@@ -135,6 +143,7 @@ def _inventory(request: Request, *, stack: str) -> str:
         STACK=stack,
         USER=login if request.user else usual,
         PLATFORM=request.platform,
+        ROS=domain if ros == 2 else "  # ROS 1 is the default. For ROS 2: `ros: {version: 2}`.",
         ROBOTS="\n".join(lines or ["  #pi1: 192.168.1.11", "  #pi2: pi2.local"]),
     )
 

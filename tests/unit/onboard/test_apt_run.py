@@ -152,7 +152,8 @@ def test_a_long_silence_is_told_and_ends_the_command(tmp_path: Path, monkeypatch
     *notes, last = done.stdout.splitlines()
     assert done.returncode == 1
     assert notes[-2:] == [
-        f"now: waiting for package server 127.0.0.1: nothing has arrived for {seconds} s" for seconds in (1, 2)
+        f"now: waiting for package server 127.0.0.1: nothing has arrived for {seconds} s"
+        for seconds in (1, 2)
     ]
     assert last == "package server 127.0.0.1 sends nothing for 3 s"
     assert "does not answer" in explain(done.stdout, verb="provision")[0]

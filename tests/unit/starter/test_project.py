@@ -161,6 +161,7 @@ def test_the_distribution(distro: str) -> None:
     files = made(package, request=Request(robots={}, distro=distro)).files
     assert f"ros:{distro or 'jazzy'}-ros-base" in files["Dockerfile"]
     assert ("colcon" in files["Dockerfile"]) == (ros == 2)
+    assert ("ros: {version: 2, domain: 0}\n" in files["inventory.yaml"]) == (ros == 2)
 
 
 @pytest.mark.parametrize(
