@@ -6,8 +6,9 @@ FAB := $(VENV)/bin/fab
 PIS := pi1,pi2,pi3
 # How often `make test-faults` injects each fault.
 FAULTS := 50
-# Tests side by side. They mostly wait; those on virtual Pis need a lab of three for each.
+# Tests side by side: they mostly wait. Those on virtual Pis need a lab of three for each worker.
 JOBS := 2
+PURE_JOBS := 4
 PIP := $(VENV)/bin/pip --disable-pip-version-check install
 PIP_LOG := $(VENV)/pip.log
 PYTEST = $(VENV)/bin/pytest --numprocesses $(JOBS)
@@ -56,7 +57,7 @@ test: check test-desktop test-lab ## everything: check, then the tests with Dock
 
 test-pure: env
 	$(STEP) 'Tests that need only Python'
-	@$(PYTEST) tests/unit -m 'not desktop' --dist worksteal
+	@$(VENV)/bin/pytest --numprocesses $(PURE_JOBS) tests/unit -m 'not desktop' --dist worksteal
 
 test-desktop: testbed env
 	$(STEP) 'Tests that need this computer: Docker, sshd, root'

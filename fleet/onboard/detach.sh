@@ -43,12 +43,15 @@ elif [ ! -d "$run" ]; then
     exit 1
 elif [ ! -e "$run/code" ] && [ -e "$run/start" ] && [ "$(cat "$run/boot" 2>/dev/null)" != "$this_boot" ]; then
     echo 'note: was cut short: goes on'
+    # What was said before the cut is said again, unless somebody has started it again already.
+    (exec 8>>"$run/lock" && flock -n 8 && : >"$run/out")
     launch
 fi
 
 shown=0 quiet=0
 show() {
     size=$(stat -c %s "$run/out" 2>/dev/null) || size=0
+    [ "$size" -ge "$shown" ] || shown=0
     [ "$size" -le "$shown" ] || tail -c +$((shown + 1)) "$run/out" | head -c $((size - shown))
     shown=$size
 }

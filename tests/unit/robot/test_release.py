@@ -251,8 +251,12 @@ def test_the_checksum_is_what_the_probe_finds(tmp_path: Path, shell: str) -> Non
 VALUES = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=40)
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(values=st.lists(VALUES, min_size=8, max_size=8))
+# Two processes for each example: few examples of many values.
+@settings(
+    max_examples=4,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.large_base_example],
+)
+@given(values=st.lists(VALUES, min_size=50, max_size=50))
 @example(
     values=[
         "$",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -223,6 +223,7 @@ def plain(value: Any, fields: dict[str, tuple[Field, ...]], kind: str) -> Any:  
 
 
 @pytest.mark.parametrize("definition", DEFINITIONS.values(), ids=DEFINITIONS)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_messages_are_read_as_rosbags_reads_them(definition: str, data: st.DataObject) -> None:
     """An independent implementation writes the bytes, and both read the same values from them."""
