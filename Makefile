@@ -71,9 +71,9 @@ test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
 	@$(PYTEST) tests/lab --dist loadfile --no-loadscope-reorder
 
-test-faults: testbed env ## power cuts, cut links, people at once on virtual Pis; writes docs/reliability.md (an hour)
+test-faults: testbed env ## power cuts, cut links, people at once, full disks, liars on virtual Pis; writes docs/reliability.md (an hour)
 	$(STEP) 'Faults'
-	@FLEET_FAULTS=$(FAULTS) FLEET_FAULTS_PAGE=docs/reliability.md $(VENV)/bin/pytest tests/lab/test_power.py tests/lab/test_faults.py
+	@FLEET_FAULTS=$(FAULTS) FLEET_FAULTS_PAGE=docs/reliability.md $(VENV)/bin/pytest tests/lab/test_power.py tests/lab/test_faults.py tests/lab/test_hostile.py
 
 lint: env ## style, spelling, types, layers, shell scripts, the workflow
 	$(STEP) 'Style and types'

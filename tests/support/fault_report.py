@@ -50,6 +50,9 @@ and Docker Engine) and writes this page; nothing in it is written by hand. {verd
 A power cut strikes at a random moment of the swap. The virtual Pi has its home and its Docker on an ext4 file system of its
 own, which is shut down without a flush, so everything that was not synced is lost; then the Pi is killed, and booted again.
 
+Moments, places and lies are random. A run is repeated exactly with `FLEET_SEED=28 make test-faults`; another number gives
+another run.
+
 `fab provision` installs `fleet-finish.service`, by which a robot finishes an interrupted swap at boot. Without it, Docker
 starts the old release again at boot unless the cut came between the removal of the old containers and the start of the
 new ones. The next `fab ship` mends that.
