@@ -117,7 +117,7 @@ else
     } 2>/dev/null | while read -r device; do [ ! -e "$device" ] || echo "$device"; done | head -n 300
 fi
 section udev
-cat "$rules" 2>/dev/null
+head -c 10000 "$rules" 2>/dev/null
 section pi
 for folder in /boot/firmware /boot; do
     [ -f "$folder/config.txt" ] || continue
@@ -128,9 +128,9 @@ for folder in /boot/firmware /boot; do
     break
 done
 section reboot
-cat /run/fleet-reboot 2>/dev/null
+head -n 20 /run/fleet-reboot 2>/dev/null
 section groups
-getent group | cut -d: -f1
+getent group | cut -d: -f1 | head -n 500
 
 section temperature
 cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null

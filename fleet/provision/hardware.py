@@ -62,7 +62,8 @@ def _match(usb: Usb) -> tuple[str, ...]:
 
 def _groups(robot: Robot, facts: Facts) -> tuple[Step, ...]:
     login, there = facts.login, facts.hardware.system_groups
-    missing = [group for group in robot.hardware.groups if group not in login.groups]
+    # Docker's own group is the business of `fleet.provision.steps`: it comes with Docker.
+    missing = [group for group in robot.hardware.groups if group not in (*login.groups, "docker")]
     if unknown := next((group for group in missing if group not in there), ""):
         hint = did_you_mean(unknown, there)
         raise NotReady(

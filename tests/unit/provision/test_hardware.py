@@ -83,7 +83,7 @@ def test_groups_of_the_login() -> None:
     (step,) = hardware.steps(said, seen)
     assert step.title == "put pi into the groups dialout, i2c"
     assert step.argv == ("sudo", "-n", "usermod", "--append", "--groups", "dialout,i2c", "pi")
-    assert titles(robot(groups=["docker"])) == []
+    assert titles(robot(groups=["docker"]), groups=("pi",)) == []
 
 
 def test_a_group_that_does_not_exist() -> None:
