@@ -24,6 +24,7 @@ from fleet.config.inventory import json_schema
 from fleet.onboard import exit_codes
 from fleet.provision import daemon_json, steps
 from fleet.robot import paths
+from fleet.robot.hardware import UDEV_RULES
 
 FOLDER = Path(__file__).parent / "reference"
 
@@ -107,7 +108,7 @@ All keys, from [`inventory.schema.json`](../../inventory.schema.json). The comme
 
 Paths are relative to the inventory file. A robot gets the values of `defaults`, then those of its groups in the order of
 the file, then its own. Later values win; `ros`, `docker`, `environment` and `files` are merged key by key,
-`stack` and `pass_environment` are replaced as a whole.
+`hardware` adds up, `stack` and `pass_environment` are replaced as a whole.
 """,
         "## The file\n\n" + _table(schema["properties"], required=schema.get("required", [])),
     ]
@@ -260,7 +261,10 @@ To start a stack without a desktop, log in to the robot and run `cd ~/{paths.STA
 ## In the system
 
 Only `fab provision` changes the system, as root: Docker and its Compose plugin, `zstd`, the group `docker` with the login
-in it, `{daemon_json.PATH}` (size and number of log files), and the clock if it is wrong.
+in it, `{daemon_json.PATH}` (size and number of log files, the runtime nvidia), and the clock if it is wrong. For
+`hardware:` of the inventory it also changes the login's groups, `{UDEV_RULES}`, and on a
+Raspberry Pi `config.txt` and `cmdline.txt` in `/boot/firmware`, and `/etc/modules-load.d/fleet-i2c.conf`. Files that are not
+fleet's own are kept as `NAME.before-fleet` before the first change. `/run/fleet-reboot` names what waits for a reboot.
 
 ## To remove all of it
 

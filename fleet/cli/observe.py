@@ -13,7 +13,7 @@ from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
-from fleet.errors import UsageError
+from fleet.errors import FleetError, UsageError
 from fleet.plan import containers
 from fleet.rollout import stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
@@ -22,30 +22,41 @@ from fleet.ssh import openssh_config
 
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
-    from fleet.errors import FleetError
     from fleet.robot.facts import Facts
 
 
-@verb(looks=True)
-def inventory(hosts: str = "all", json: bool = False, inventory: str = "") -> None:
+@verb({"facts": "ask the robots too: board, system, Docker, runtimes, devices"}, looks=True)
+def inventory(hosts: str = "all", facts: bool = False, json: bool = False, inventory: str = "") -> int:
     """Show each robot with its merged settings.
 
-    A robot's own settings override those of its groups, and those override the defaults.
+    A robot's own settings override those of its groups, and those override the defaults. With --facts, the robots are
+    asked what they are and have, such as the devices that are plugged in.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     for one, other in whose.twins(robots):
         screen.say(f"{one} and {other} have the same address: `fab ship` refuses them")
+    seen = observe(robots, progress=NoProgress()) if facts else {}
     if json:
-        screen.json([robot.model_dump(mode="json") for robot in robots])
-    else:
-        screen.records({robot.name: _settings(robot) for robot in robots})
+        merged = [robot.model_dump(mode="json") for robot in robots]
+        screen.json(
+            [{**one, "facts": states.record(seen[one["name"]])} for one in merged] if facts else merged
+        )
+        return 0 if all(not isinstance(what, FleetError) for what in seen.values()) else 1
+    told = {
+        name: {"facts": states.described(what)}
+        for name, what in seen.items()
+        if not isinstance(what, FleetError)
+    }
+    screen.records({robot.name: {**_settings(robot), **told.get(robot.name, {})} for robot in robots})
+    return screen.problems(states.problems(seen))
 
 
 def _settings(robot: Robot) -> dict[str, Any]:
     """The settings of a robot that say something."""
     unused = {"ros": {"master"}} if robot.ros.version == 2 else {}
     settings: dict[str, Any] = robot.model_dump(mode="json", exclude_none=True, exclude=unused)
-    return {key: value for key, value in settings.items() if key != "peers" or value}
+    settings["hardware"] = {key: value for key, value in settings["hardware"].items() if value}
+    return {key: value for key, value in settings.items() if key not in ("peers", "hardware") or value}
 
 
 @verb({"watch": "update the table until Ctrl-C"}, looks=True)
@@ -70,6 +81,8 @@ def status(hosts: str = "all", watch: bool = False, json: bool = False, inventor
             observe(robots, progress=NoProgress(), seen=seen)
             arrivals.over = True
         screen.say(states.total(seen))
+    for line in states.reboots(seen):
+        screen.say(line)
     same = whose.same_computers({name: seen[name] for name in names if name in seen})
     for one, other in same:
         screen.say(f"{one} and {other} are the same computer: correct an address in the inventory")

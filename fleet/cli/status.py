@@ -11,10 +11,10 @@ from fleet.robot.history import Event, history
 from fleet.units import human_bytes, human_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from fleet.plan.outcome import Outcome
-    from fleet.robot.facts import Container, Docker, Facts, StackFacts
+    from fleet.robot.facts import Container, Facts, StackFacts
 
 EVENT_COLUMNS = ("robot", "stack", "when (UTC)", "what", "release", "by", "outcome")
 COLUMNS = ("robot", "reachable", "stack", "release", "containers", "data", "docker", "disk free", "temp")
@@ -31,7 +31,7 @@ def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
             ((name, "bold"), ("no", "bold red"), nothing, nothing, (seen.what, "red"), *[nothing] * 4),
         ]
     host = (
-        _docker(seen.docker),
+        _docker(seen),
         _disk(seen),
         _temperature(seen.host.temperature),
     )
@@ -180,11 +180,46 @@ def _data(there: StackFacts) -> Cell:
     return (human_bytes(there.data) if there.data else "", "")
 
 
-def _docker(docker: Docker) -> Cell:
-    """Docker's version; in red its state if it does not run, and the name of another engine in its place."""
+def _docker(facts: Facts) -> Cell:
+    """Docker's version, and NVIDIA's Linux of a Jetson; in red its state if it does not run, or another engine's name."""
+    docker, l4t = facts.docker, facts.hardware.l4t
     if docker.kind not in ("docker", ""):
         return (f"{docker.kind}, not usable", "red")
-    return (docker.version, "") if docker.state == "ready" else (docker.state, "red")
+    if docker.state != "ready":
+        return (docker.state, "red")
+    return (f"{docker.version} (L4T {l4t})" if l4t else docker.version, "")
+
+
+def reboots(seen: Mapping[str, Facts | FleetError]) -> Iterator[str]:
+    """A line for each robot that waits for a reboot."""
+    for name, what in seen.items():
+        if not isinstance(what, FleetError) and what.hardware.reboot_for:
+            yield f"{name} has to be rebooted to switch on {', '.join(what.hardware.reboot_for)}"
+
+
+def described(facts: Facts) -> dict[str, Any]:
+    """What a person may want to know of a robot before writing the inventory, as far as it is known."""
+    host, docker, hardware = facts.host, facts.docker, facts.hardware
+    raw = {True: "yes", False: "no (Docker 28 and newer need it)", None: ""}[hardware.raw_table]
+    known: dict[str, Any] = {
+        "board": hardware.model,
+        "system": host.os,
+        "machine": host.machine,
+        "l4t": hardware.l4t,
+        "docker": docker.version or docker.state,
+        "runtimes": [name for name in docker.runtimes if not name.startswith("io.containerd.")],
+        "cdi": hardware.cdi,
+        "raw table": raw,
+        "interfaces": hardware.interfaces,
+        "wait for a reboot": hardware.reboot_for,
+        "groups": facts.login.groups,
+        "devices": hardware.devices,
+    }
+    return {
+        key: ", ".join(value) if isinstance(value, list | tuple) else value
+        for key, value in known.items()
+        if value
+    }
 
 
 def _disk(facts: Facts) -> Cell:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -21,7 +20,9 @@ from pydantic import (
     model_validator,
 )
 
-from fleet.config import merge, validation
+from fleet.config import hardware, merge, validation
+from fleet.config.hardware import Hardware
+from fleet.config.model import Frozen
 from fleet.config.selection import choose
 from fleet.errors import InventoryError, SelectionError
 
@@ -66,15 +67,6 @@ _RMW = Field(json_schema_extra={"enum": list(validation.RMW)})
 _DISCOVERY = Field(json_schema_extra={"enum": list(validation.DISCOVERY)})
 # Keys that match no pattern: pydantic refuses them, its JSON Schema has to be told.
 _CLOSED = Field(json_schema_extra={"additionalProperties": False})
-
-
-class Frozen(BaseModel):
-    """A value that does not change and knows no other keys."""
-
-    # Built at first use: `fab --list` reads no inventory.
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, regex_engine="python-re", defer_build=True
-    )
 
 
 class Ros(Frozen):
@@ -190,6 +182,7 @@ class Values(Frozen):
     )
     ros: Ros | None = Field(default=None, description="ROS settings.")
     docker: Docker | None = Field(default=None, description="How Docker gets onto the robot.")
+    hardware: Hardware | None = Field(default=None, description="What is built in or plugged in.")
     environment: Annotated[Environment, _CLOSED] | None = Field(
         default=None, description="Variables for the stack: `${NAME}` in its Compose file."
     )
@@ -277,9 +270,10 @@ class Robot(Frozen):
     platform: Platform = "linux/arm64"
     ros: Ros = Field(default_factory=Ros)
     docker: Docker = Field(default_factory=Docker)
-    environment: dict[str, str] = {}
+    hardware: Hardware = Field(default_factory=Hardware)
+    environment: dict[str, str] = Field(default={})
     pass_environment: tuple[str, ...] = ()
-    files: dict[str, Path] = {}
+    files: dict[str, Path] = Field(default={})
     stacks: tuple[StackFiles, ...] = ()
     known_hosts: Path = Path("known_hosts")
     peers: tuple[str, ...] = ()
@@ -396,4 +390,6 @@ def _model_at(location: Location) -> type[Frozen]:
     if location[0] == "stack":
         return StackValues
     depth = 1 if location[0] == "defaults" else 2
+    if location[depth:][:1] == ("hardware",):
+        return hardware.model_at(location[depth + 1 :])
     return inner[location[depth]] if len(location) > depth else outer[location[0]]

@@ -66,7 +66,7 @@ def gather(path: Path, *, check: Check) -> tuple[Roster, tuple[str, ...]]:
 
 
 def merge(under: Plain, over: Plain) -> Plain:
-    """Both, ``over`` winning; the mappings inside (ros, docker, environment, files) key by key.
+    """Both, ``over`` winning; the mappings inside (ros, docker, environment, files) key by key. Hardware adds up.
 
     ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both. A ``ros.version`` replaces the
     keys of the other version.
@@ -76,8 +76,19 @@ def merge(under: Plain, over: Plain) -> Plain:
         if isinstance(under[key], dict) and isinstance(over[key], dict):
             replaced = _replaced(over[key]) if key == "ros" else set()
             kept = {name: value for name, value in under[key].items() if name not in replaced}
-            merged[key] = kept | over[key]
+            merged[key] = _joined(kept, over[key]) if key == "hardware" else kept | over[key]
     return merged
+
+
+def _joined(under: Plain, over: Plain) -> Plain:
+    """The hardware of both: lists one after the other, each entry once; names of USB devices by name."""
+    joined = {**under, **over}
+    for key in under.keys() & over.keys():
+        if isinstance(under[key], dict):
+            joined[key] = under[key] | over[key]
+        else:
+            joined[key] = list(dict.fromkeys((*under[key], *over[key])))
+    return joined
 
 
 def _replaced(ros: Plain) -> set[str]:
@@ -247,7 +258,7 @@ class _File:
             k: v
             for k, v in values.items()
             if v is not None
-            or k not in {"ros", "docker", "environment", "files", "stack", "pass_environment"}
+            or k not in {"ros", "docker", "hardware", "environment", "files", "stack", "pass_environment"}
         }
         self._check_peers((*location, "ros", "peers"), said.get("ros", {}).get("peers") or ())
         if "stack" in said:

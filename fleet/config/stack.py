@@ -137,6 +137,15 @@ def literal(text: str) -> str:
     return text.replace("$$", "$")
 
 
+# https://github.com/cncf-tags/container-device-interface/blob/main/SPEC.md: vendor/class=device
+_CDI_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*/[A-Za-z][A-Za-z0-9_-]*=[A-Za-z0-9_.:-]+")
+
+
+def is_cdi_name(device: str) -> bool:
+    """Whether a device of a service is named by CDI (``nvidia.com/gpu=all``), and not by a path."""
+    return bool(_CDI_NAME.fullmatch(device))
+
+
 _DURATION = re.compile(r"([0-9.]+)(h|ms|us|ns|m|s)")
 _UNITS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 

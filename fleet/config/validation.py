@@ -51,6 +51,12 @@ SHA256 = _whole(r"[0-9A-Fa-f]{64}")
 VERSION = _whole(r"[0-9]+\.[0-9]+\.[0-9]+")
 SIZE = _whole(r"[1-9][0-9]*[kmg]")
 VARIABLE = _whole(rf"(?!{_RESERVED}$|FLEET_)[A-Za-z_][A-Za-z0-9_]*")
+DEVICE = _whole(r"/dev(?:/(?!\.{1,2}(?:/|$))[^\s/]+)+")
+DEVICE_NAME = _whole(r"(?!(?:tty|video|i2c-|spidev|null$|mem$|console$))[A-Za-z0-9][A-Za-z0-9_.-]*")
+USB_ID = _whole(r"[0-9A-Fa-f]{4}")
+USB_SERIAL = _whole(r"[A-Za-z0-9][A-Za-z0-9_.:+ -]*")
+USB_PORT = _whole(r"[0-9]+-[0-9]+(?:\.[0-9]+)*")
+LOGIN_GROUP = _whole(r"[a-z_][a-z0-9_-]{0,31}")
 FILE = _whole(r"(?!/)(?!(?:.*/)?\.{1,2}(?:/|$))(?!.*//)(?!.*/$)[^\x00-\x1f\x7f\\]+")
 
 # As JSON Schema: a hostname and an ip, and neither is null.
@@ -80,6 +86,9 @@ RMW = (
 )
 DISCOVERY = ("subnet", "localhost", "off", "system_default")
 
+INTERFACES = ("i2c", "spi", "serial", "camera")
+KINDS = ("serial", "camera", "input")
+
 _MUST: Mapping[str, str] = {
     TEXT: "must not be empty",
     NAME: "is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
@@ -94,6 +103,13 @@ _MUST: Mapping[str, str] = {
     VERSION: "must be a full version such as '27.5.1': a shorter one would match several",
     SIZE: "must be a number and k, m or g, such as '10m'",
     VARIABLE: "is not a name for a variable: use letters, digits and '_', not a digit first",
+    DEVICE: "must be the path of a device, such as /dev/ttyUSB0 or /dev/serial/by-id/usb-...",
+    DEVICE_NAME: "must be a name of your own for /dev, such as 'lidar': letters, digits, '_', '.' and '-'; "
+    "not one of the kernel's, such as ttyUSB0 or video0",
+    USB_ID: "must be 4 hexadecimal digits in quotes, such as '10c4'; `lsusb` shows them",
+    USB_SERIAL: "must be a serial number as `udevadm info -a` shows it, without quotes and wildcards",
+    USB_PORT: "must be a USB port such as '1-1.2', as `udevadm info -a` shows it in KERNELS",
+    LOGIN_GROUP: "must be the name of a group, such as dialout",
     FILE: "must be a plain relative path: it stays below files/ on the robot (no '/' first or last, no '.' or '..')",
 }
 
@@ -170,6 +186,24 @@ def rmw(value: str) -> str:
 def discovery(value: str) -> str:
     """``value`` if it is a range of discovery; otherwise raise ValueError with the message."""
     return _one_of(DISCOVERY, value)
+
+
+def interface(value: str) -> str:
+    """``value`` if it is an interface of a Raspberry Pi; otherwise raise ValueError with the message."""
+    return _one_of(INTERFACES, value)
+
+
+def kind(value: str) -> str:
+    """``value`` if it is a kind of USB device; otherwise raise ValueError with the message."""
+    return _one_of(KINDS, value)
+
+
+def usb(said: Mapping[str, Any]) -> None:
+    """Raise ValueError with the message if nothing, or too little, says which USB device is meant."""
+    if not said["vendor"] and not said["port"]:
+        raise ValueError("say which device it is: `vendor` and `product` (`lsusb` shows them), or `port`")
+    if bool(said["vendor"]) != bool(said["product"]):
+        raise ValueError("vendor and product go together; `lsusb` shows both, as vendor:product")
 
 
 def _one_of(choices: tuple[str, ...], value: str) -> str:

@@ -153,6 +153,15 @@ KNOWN_ERRORS = (
         {"provision": "fix /etc/docker/daemon.json on the robot, then run the same command again"},
     ),
     KnownError(
+        r"can't initialize iptables table `raw'",
+        "the robot's kernel has no iptables table `raw`, which Docker 28 and newer need",
+        "write `version: 27.5.1` under `docker:` of the robot in the inventory, remove Docker on the robot, then run `fab provision`",
+        {
+            "provision": "write `version: 27.5.1` under `docker:` of the robot in the inventory, remove Docker on the robot, then "
+            "run the same command again"
+        },
+    ),
+    KnownError(
         r"(?i)iptables.*(?:No chain/target/match|does not exist|can't initialize)|Failed to Setup IP tables",
         "Docker cannot set up its network: the robot's kernel lacks iptables modules",
         "reboot the robot: an update may have replaced the running kernel's modules",

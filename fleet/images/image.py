@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,8 @@ class Image:
     """A local image.
 
     ``reference`` finds it here; ``size`` is in bytes, uncompressed; ``identity`` is the digest of its configuration;
-    ``layers`` are the digests of its layers' tars (diff IDs), lowest first.
+    ``layers`` are the digests of its layers' tars (diff IDs), lowest first. ``l4t`` is the version of NVIDIA's Linux that it
+    is made for, as far as it says one.
     """
 
     reference: str
@@ -35,6 +37,7 @@ class Image:
     size: int
     identity: str
     layers: tuple[str, ...] = ()
+    l4t: str = ""
 
     @property
     def fingerprint(self) -> str:
@@ -71,6 +74,29 @@ def platform(*, os: str, architecture: str, variant: str = "") -> str:
     if architecture != "arm":
         return f"{os}/{architecture}"
     return f"{os}/{architecture}/{variant or 'v7'}"
+
+
+_L4T_KEYS = ("l4t_version", "l4t_major_version", "com.nvidia.l4t.version")
+_L4T_VALUE = re.compile(r"[rR]?(3[0-9](?:\.[0-9]+)*)(?![0-9])")
+_L4T_TAG = re.compile(r"(?<![a-z0-9])r(3[0-9](?:\.[0-9]+)+)")
+
+
+def l4t(reference: str, config: Mapping[str, Any]) -> str:
+    """The version of NVIDIA's Linux that an image is made for, ``36.2.0``; "" if it says none.
+
+    There is no standard. ``config`` (the part that has Env and Labels) may have one of `_L4T_KEYS` as a variable or a label;
+    NVIDIA's own images (``nvcr.io/nvidia/l4t-base:r36.2.0``) and those of jetson-containers
+    (``dustynv/ros:humble-desktop-l4t-r36.4.0``) have it in the tag only.
+    """
+    labels, variables = config.get("Labels") or {}, config.get("Env") or ()
+    said = {**labels, **dict(str(pair).partition("=")[::2] for pair in variables)}
+    for key, value in said.items():
+        if key.lower() in _L4T_KEYS:
+            found = _L4T_VALUE.match(str(value))
+            return found[1] if found else ""
+    found = _L4T_TAG.search(tag(reference))
+    for_jetson = re.search(r"l4t|jetson|jetpack|dustynv", reference)
+    return found[1] if found and for_jetson else ""
 
 
 def same_platform(one: str, other: str) -> bool:

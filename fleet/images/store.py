@@ -101,13 +101,20 @@ class Store:
             variant=attributes.get("Variant") or "",
         )
         identity, layers = attributes["Id"], tuple(attributes["RootFS"].get("Layers") or ())
+        settings = attributes.get("Config") or {}
         if self._containerd:
             config = self._configuration(name, attributes["Id"], wanted)
             if config is not None:
                 shown, identity = wanted, f"sha256:{hashlib.sha256(config).hexdigest()}"
-                layers = tuple(json.loads(config)["rootfs"]["diff_ids"])
+                described = json.loads(config)
+                layers, settings = tuple(described["rootfs"]["diff_ids"]), described.get("config") or {}
         return Image(
-            reference=name, platform=shown, size=attributes["Size"], identity=identity, layers=layers
+            reference=name,
+            platform=shown,
+            size=attributes["Size"],
+            identity=identity,
+            layers=layers,
+            l4t=image.l4t(name, settings),
         )
 
     @functools.cached_property

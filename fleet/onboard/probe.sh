@@ -50,8 +50,9 @@ sed -n 's/^MemTotal: *\([0-9]*\) kB$/\1/p' /proc/meminfo
 
 info=
 if command -v docker >/dev/null; then
+    # shellcheck disable=SC2016  # $name is the template's
     info=$(docker info --format '{{.DockerRootDir}} {{.Driver}}{{range .DriverStatus}} {{index . 1}}{{end}}
-{{range .SecurityOptions}}{{println .}}{{end}}' 2>/dev/null)
+{{range .SecurityOptions}}{{println .}}{{end}}{{range $name, $_ := .Runtimes}}runtime {{println $name}}{{end}}default {{.DefaultRuntime}}' 2>/dev/null)
 fi
 root=${info%% *}
 case $info in *io.containerd.snapshotter*) root=/var/lib/containerd ;; esac
@@ -61,13 +62,76 @@ section 'home disk'
 df -Pk "$HOME/.fleet" 2>/dev/null || df -Pk "$HOME"
 section store
 printf '%s\n' "$info" | head -n 1
-# Which engine `docker` leads to: snap's, one that runs without root, podman's.
+# Which engine `docker` leads to: snap's, one that runs without root, podman's. And its runtimes.
 section engine
 printf '%s\n' "$info" | tail -n +2
 program=$(command -v docker) && readlink -f "$program"
 for file in /snap/docker/current "$HOME/.config/systemd/user/docker.service"; do
     [ ! -e "$file" ] || echo "there is $file"
 done
+
+section model
+cat /proc/device-tree/model /sys/firmware/devicetree/base/model 2>/dev/null | tr '\000' '\n' | head -n 1
+section l4t
+# shellcheck disable=SC2016  # the braces are dpkg-query's
+head -n 1 /etc/nv_tegra_release 2>/dev/null || dpkg-query -W -f '${Version}' nvidia-l4t-core 2>/dev/null
+section raw
+# Docker 28 and newer need the iptables table `raw`, unless iptables works over nf_tables (which Jetsons' kernels have only
+# in part), or a setting of 28.0.2 says to do without (moby #49557).
+PATH=$PATH:/usr/sbin:/sbin
+kernel=$(uname -r)
+if grep -rqs '^[^#]*DOCKER_INSECURE_NO_IPTABLES_RAW=1' /etc/systemd/system/docker.service.d /etc/default/docker; then
+    echo unused
+elif [ ! -e /etc/nv_tegra_release ] && iptables --version 2>/dev/null | grep -q nf_tables; then
+    echo unused
+elif [ -e /sys/module/iptable_raw ] || modprobe -n -q iptable_raw 2>/dev/null; then
+    echo yes
+else
+    case $({ zcat /proc/config.gz || cat "/boot/config-$kernel"; } 2>/dev/null | grep CONFIG_IP_NF_RAW) in
+        *=y) echo yes ;;
+        ?*) echo no ;;
+        *) [ ! -e "/lib/modules/$kernel" ] || ! command -v modprobe >/dev/null || echo no ;;
+    esac
+fi
+section toolkit
+command -v nvidia-ctk
+section cdi
+for file in /etc/cdi/* /var/run/cdi/*; do
+    case $file in
+        *.json | *.yaml | *.yml)
+            echo spec
+            tr ',{}' '[\n*]' <"$file" | head -c 1000000 |
+                sed -nE "s/^[[:space:]-]*[\"']?(kind|name)[\"']?[[:space:]]*:[[:space:]]*[\"']?([A-Za-z0-9_.:\/-]+).*/\1 \2/p"
+            ;;
+    esac
+done 2>/dev/null | head -n 300
+section devices
+rules=/etc/udev/rules.d/99-fleet.rules
+if [ "${1-}" = images ]; then # a release may want any
+    find /dev -maxdepth 4 ! -type f ! -type s ! -path '/dev/shm/*' 2>/dev/null | head -n 5000
+else
+    {
+        sed -n 's,.* SYMLINK+="\([^"]*\)"$,/dev/\1,p' "$rules"
+        ls -d /dev/serial/by-id/* /dev/serial[0-9] /dev/ttyUSB* /dev/ttyACM* /dev/ttyAMA* /dev/ttyTHS* /dev/v4l/by-id/* \
+            /dev/video* /dev/i2c-* /dev/spidev* /dev/gpiochip* /dev/input/by-id/*
+    } 2>/dev/null | while read -r device; do [ ! -e "$device" ] || echo "$device"; done | head -n 300
+fi
+section udev
+head -c 10000 "$rules" 2>/dev/null
+section pi
+for folder in /boot/firmware /boot; do
+    [ -f "$folder/config.txt" ] || continue
+    printf '%s\n' "$folder" "$(command -v raspi-config)" \
+        "$(head -n 1 "$folder/cmdline.txt" 2>/dev/null | cut -c1-2000)"
+    tr -d '\r' <"$folder/config.txt" | grep -E '^(device_tree_param|dtparam|enable_uart|camera_auto_detect|start_x)=' |
+        cut -c1-200 | head -n 40
+    break
+done
+section reboot
+head -n 20 /run/fleet-reboot 2>/dev/null
+section groups
+getent group | cut -d: -f1 | head -n 500
+
 section temperature
 cat /sys/class/thermal/thermal_zone0/temp 2>/dev/null
 section emulates
@@ -124,6 +188,9 @@ old=$(readlink "$HOME/.fleet/current" 2>/dev/null)
 if command -v docker >/dev/null; then
     section docker
     docker version --format '{{.Server.Version}}{{range .Server.Components}} {{.Name}}{{end}}' 2>&1
+    section specs
+    # Before Docker 25 there is no such field. It is empty if CDI is off.
+    [ ! -e /etc/cdi ] && [ ! -e /var/run/cdi ] || docker info --format '{{range .CDISpecDirs}}{{println .}}{{end}}' 2>/dev/null
     section client
     docker --version 2>/dev/null
     section compose

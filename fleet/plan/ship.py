@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fleet.errors import NotReady
-from fleet.plan import claims, compose_steps, prune
+from fleet.plan import claims, compose_steps, hardware, prune
 from fleet.plan.readiness import ready
 from fleet.plan.step import Plan, Step
 from fleet.robot import history
@@ -48,13 +48,14 @@ def plan(
     ``delivery`` brings the images that are `missing`. Afterwards the ``keep`` newest releases stay.
 
     Raises:
-        NotReady: the robot cannot take it: no usable Docker, another architecture, a port that something else has.
+        NotReady: the robot cannot take it: no usable Docker, another architecture, a missing device, a port that something else has.
 
     """
     ready(facts, robot=robot)
     there = facts.fleet.stacks.get(release.stack, StackFacts())
     if not delivery.steps and _runs(release, there, facts=facts, request=request):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
+    hardware.check(robot, release, facts)
     claims.check(release, facts.fleet.claims)
     legacy, images = facts.fleet.legacy, tuple(image.shipped_as for image in release.images)
     seen = compose_steps.UNKNOWN if legacy else there.current

@@ -1,4 +1,4 @@
-"""Steps that write Docker's settings on a robot, ``/etc/docker/daemon.json``, to rotate the logs of containers.
+"""Steps that write Docker's settings on a robot, ``/etc/docker/daemon.json``: rotated logs, and the runtime nvidia.
 
 A robot's containers run for years, and Docker's default log driver keeps every line: without rotation the SD card fills up.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
+from fleet import onboard
 from fleet.errors import NotReady
 from fleet.plan.step import Bytes, Step
+from fleet.provision import jetson
 from fleet.provision.sudo import as_root
 
 if TYPE_CHECKING:
@@ -18,33 +20,32 @@ if TYPE_CHECKING:
 
 PATH = "/etc/docker/daemon.json"
 
-# The copy keeps the file's owner and mode; the rename leaves one complete file when the power fails.
-_WRITE = (
-    'mkdir -p "$(dirname "$1")" && { [ ! -e "$1" ] || cp -p "$1" "$1.new"; }'
-    ' && cat > "$1.new" && mv "$1.new" "$1"'
-)
-
 
 def steps(robot: Robot, facts: Facts) -> tuple[Step, ...]:
-    """The step that adds log rotation to the settings, unless they have it; other settings stay.
+    """The step that adds log rotation, and the runtime nvidia where its toolkit is, to the settings; others stay.
 
-    Docker reads the file when it starts. It is not restarted for this, because that would stop the robot's containers.
+    Docker reads rotation when it starts. It is not restarted for this, because that would stop the robot's containers.
 
     Raises:
         NotReady: Docker cannot read the file, and would not start.
 
     """
     present = _read(facts.docker.daemon_config)
-    wanted = _with_rotation(present, size=robot.docker.log_max_size, count=robot.docker.log_max_file)
+    rotated = _with_rotation(present, size=robot.docker.log_max_size, count=robot.docker.log_max_file)
+    wanted = jetson.with_runtime(rotated) if jetson.wants_runtime(facts) else rotated
     if present == wanted:
         return ()
     runs = facts.docker.state in ("ready", "forbidden")
     when = ", from the next start of Docker on" if runs else ""
+    logs = f"keep {robot.docker.log_max_file} log files of {robot.docker.log_max_size} per container{when}"
+    titles = ([logs] if rotated != present else []) + (
+        ["give Docker the runtime nvidia"] if wanted != rotated else []
+    )
     text = json.dumps(wanted, indent=2, ensure_ascii=False) + "\n"
     return (
         Step(
-            title=f"keep {robot.docker.log_max_file} log files of {robot.docker.log_max_size} per container{when}",
-            argv=as_root(facts, "sh", "-c", _WRITE, "sh", PATH),
+            title="; ".join(titles),
+            argv=as_root(facts, "sh", "-c", onboard.text("replace_file.sh"), "replace_file", PATH),
             feed=Bytes(label=" ".join(text.split()), data=text.encode()),
             limit=20.0,
         ),
@@ -57,7 +58,9 @@ def _read(text: str) -> dict[str, Any]:
         settings = json.loads(text) if text.strip() else {}
     except (ValueError, RecursionError) as problem:
         raise NotReady(f"{PATH} is not JSON: {problem}", cure=cure) from None
-    if not isinstance(settings, dict) or not isinstance(settings.get("log-opts", {}), dict):
+    if not isinstance(settings, dict) or not all(
+        isinstance(settings.get(key, {}), dict) for key in ("log-opts", "runtimes")
+    ):
         raise NotReady(f"{PATH} does not have the form that Docker reads", cure=cure)
     return settings
 

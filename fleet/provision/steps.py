@@ -15,7 +15,7 @@ from fleet import onboard
 from fleet.errors import NotReady
 from fleet.plan import readiness
 from fleet.plan.step import Bytes, Plan, Record, Step
-from fleet.provision import apt, daemon_json, sudo
+from fleet.provision import apt, daemon_json, hardware, jetson, sudo
 from fleet.provision.sudo import as_root
 from fleet.robot.paths import HOME
 from fleet.units import human_bytes
@@ -67,27 +67,41 @@ def plan(
     """
     _check_kind(robot, facts)
     _check_version(robot, facts)
-    rotation = daemon_json.steps(robot, facts)
-    install = _installation(robot, facts, script=script, bounds=bounds)
-    if install:
-        _check_disk(facts)
-    changes = (*_clock(facts, now=now), *rotation, *install, *_login(facts), *_boot(facts), *_finish(facts))
+    changes = _changes(
+        robot, facts, install=_installation(robot, facts, script=script, bounds=bounds), now=now
+    )
     zstd = apt.zstd(facts=facts, bounds=bounds)
     steps = changes or zstd
     if not steps:
         return Plan(
-            robot=robot.name, summary=f"Docker {facts.docker.version} with Compose {facts.docker.compose}"
+            robot=robot.name,
+            summary=f"Docker {facts.docker.version} with Compose {facts.docker.compose}{_reboot(robot, facts)}",
         )
     sudo.check(facts)
     return Plan(
         robot=robot.name,
         summary=_summary(robot, facts),
         verb="provision",
-        steps=(*steps, *_proof(robot)),
+        steps=(*steps, *_proof(robot), *jetson.proof(facts)),
         explain=(_journal(facts),),
         recover=(_remove_source(facts),) if needs_script(facts) else (),
         afterwards=zstd if changes else (),
         record=Record(verb="provision", release="", by=by),
+    )
+
+
+def _changes(robot: Robot, facts: Facts, *, install: tuple[Step, ...], now: float) -> tuple[Step, ...]:
+    if install:
+        _check_disk(facts)
+    return (
+        *_clock(facts, now=now),
+        *hardware.steps(robot, facts),
+        *daemon_json.steps(robot, facts),
+        *install,
+        *_login(facts),
+        *_boot(facts),
+        *jetson.reload(facts),
+        *_finish(facts),
     )
 
 
@@ -103,7 +117,15 @@ def _engine_package(facts: Facts) -> str:
 def _summary(robot: Robot, facts: Facts) -> str:
     installed = facts.docker.version or facts.docker.client
     which = f"Docker {robot.docker.version or 'installed'}" if not installed else f"Docker {installed}"
-    return f"{which}, ready for {facts.login.name}"
+    return f"{which}, ready for {facts.login.name}{_reboot(robot, facts)}"
+
+
+def _reboot(robot: Robot, facts: Facts) -> str:
+    """What waits for a reboot, and how to do it: fleet never reboots a robot, which may be driving."""
+    wanted = [name for name in robot.hardware.interfaces if name not in facts.hardware.interfaces]
+    if waiting := ", ".join(dict.fromkeys((*facts.hardware.reboot_for, *wanted))):
+        return f"; reboot it to switch on {waiting}: `fab run --hosts {robot.name} -- sudo reboot`"
+    return ""
 
 
 def _check_kind(robot: Robot, facts: Facts) -> None:
@@ -126,6 +148,8 @@ def _check_kind(robot: Robot, facts: Facts) -> None:
 
 def _check_version(robot: Robot, facts: Facts) -> None:
     pin, installed = robot.docker.version, facts.docker.version or facts.docker.client
+    version = _numbers(installed or pin or "")
+    jetson.check_version(robot, facts, major=version[0] if version else None)
     if not pin or not installed or _numbers(pin) == _numbers(installed):
         return
     remove = f"remove Docker on the robot (its containers stop; images stay), then {_AGAIN}"

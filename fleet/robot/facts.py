@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from fleet.platforms import PLATFORM_OF_EMULATOR, PLATFORM_OF_MACHINE
+from fleet.robot.hardware import Hardware
 from fleet.robot.image_store import ImageStore
 
 if TYPE_CHECKING:
@@ -126,7 +127,9 @@ class Docker:
     the ``docker`` command and of its Compose plugin. ``data_root`` is often on another disk on Jetsons. ``driver`` is the
     image store's, and ``containerd`` says whether containerd keeps the images. ``members`` are the users of the group
     ``docker``, None without such a group. ``daemon_config`` is the text of ``/etc/docker/daemon.json``. ``finish_unit`` is the SHA-256
-    of the enabled unit that finishes swaps at boot, "" if there is none, "no systemd" if there cannot be one.
+    of the enabled unit that finishes swaps at boot, "" if there is none, "no systemd" if there cannot be one. ``runtimes``
+    are those that containers may ask for, ``default_runtime`` the one of others. ``cdi``: it gives containers devices by
+    their CDI names, as far as the robot has any.
     """
 
     state: EngineState = "absent"
@@ -141,6 +144,9 @@ class Docker:
     daemon_config: str = ""
     starts_at_boot: bool = False
     finish_unit: str = ""
+    runtimes: tuple[str, ...] = ()
+    default_runtime: str = ""
+    cdi: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,4 +213,5 @@ class Facts:
     disk: Disk = field(default_factory=Disk)
     docker: Docker = field(default_factory=Docker)
     packages: Packages = field(default_factory=Packages)
+    hardware: Hardware = field(default_factory=Hardware)
     fleet: Fleet = field(default_factory=Fleet)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.errors import NotAsPlanned
-from fleet.robot import claims, image_store
+from fleet.robot import claims, hardware, image_store
 from fleet.robot.facts import (
     Container,
     Disk,
@@ -48,6 +48,7 @@ _MOST_STACKS, _MOST_CONTAINERS, _MOST_LINES = 200, 2000, 50_000
 
 _LINES = {
     "daemon",
+    "devices",
     "stacks",
     "containers",
     "images",
@@ -95,6 +96,7 @@ def parse(text: str) -> Facts:
             interrupted=bool(sections["interrupted"]),
             docker_source=bool(sections["source"]),
         ),
+        hardware=hardware.parse(sections),
         fleet=Fleet(
             stacks=_stacks(
                 sections["stacks"], _containers(sections["containers"], _proved(sections["stacks"]))
@@ -147,6 +149,7 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
     """``there``: the robot has a ``docker`` command."""
     state, version = _engine(sections["docker"]) if there else ("absent", "")
     data_root, driver, status = _store(sections["store"])
+    words = [line.partition(" ")[::2] for line in sections["engine"].splitlines()]
     return Docker(
         state=state,
         kind=_kind(sections, there=there, state=state, data_root=data_root),
@@ -160,6 +163,9 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
         daemon_config=sections["daemon"],
         finish_unit=_finish_unit(sections["finish"]),
         starts_at_boot=sections["boot"] == "enabled",
+        runtimes=tuple(name for word, name in words if word == "runtime"),
+        default_runtime=next((name for word, name in words if word == "default"), ""),
+        cdi=bool(sections["specs"]),
     )
 
 

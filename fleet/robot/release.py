@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from fleet.config.compose import HOME
 from fleet.config.project_files import File, ProjectFiles, on_robot
-from fleet.config.stack import literal
+from fleet.config.stack import is_cdi_name, literal
 from fleet.robot import paths
 
 if TYPE_CHECKING:
@@ -226,22 +226,33 @@ def _for_old_versions(service: dict[str, Any]) -> dict[str, Any]:
     for condition in (service.get("depends_on") or {}).values():
         if isinstance(condition, dict) and condition.get("required") is True:
             del condition["required"]  # the default, and known from 2.20 on
-    if devices := service.get("devices"):  # mappings are known from 2.33 on
-        service["devices"] = [
-            ":".join((one["source"], one.get("target") or one["source"], one.get("permissions") or "rwm"))
-            if isinstance(one, dict)
-            else one
-            for one in devices
-        ]
+    named = [_source(one) for one in service.get("devices") or () if is_cdi_name(_source(one))]
+    if devices := [_device(one) for one in service.pop("devices", None) or () if _source(one) not in named]:
+        service["devices"] = devices
     if hosts := service.get("extra_hosts"):  # `name=address` is known from 2.24 on
         service["extra_hosts"] = (
             [host.replace("=", ":", 1) for host in hosts] if isinstance(hosts, list) else hosts
         )
-    if gpus := service.pop("gpus", None):  # known from 2.30 on
-        wanted = [{"capabilities": ["gpu"], **one} for one in gpus]
+    wanted = [
+        {"capabilities": ["gpu"], **one} for one in service.pop("gpus", None) or ()
+    ]  # known from 2.30 on
+    if named:  # in `devices` they are known from 2.30 on; Docker's CDI driver does not look at capabilities
+        wanted.append({"driver": "cdi", "capabilities": ["cdi"], "device_ids": named})
+    if wanted:
         reserved = service.setdefault("deploy", {}).setdefault("resources", {}).setdefault("reservations", {})
         reserved["devices"] = [*(reserved.get("devices") or ()), *wanted]
     return service
+
+
+def _source(device: Any) -> str:  # noqa: ANN401  a model's value
+    return str(device["source"] if isinstance(device, dict) else device)
+
+
+def _device(one: Any) -> Any:  # noqa: ANN401  a model's value
+    """A device as text: mappings are known from 2.33 on, and text has no place for a path with a colon in it."""
+    if not isinstance(one, dict) or ":" in one["source"]:
+        return one
+    return ":".join((one["source"], one.get("target") or one["source"], one.get("permissions") or "rwm"))
 
 
 # What YAML does not allow as it is: control characters, and a few that end a line.

@@ -20,12 +20,14 @@ LIBRARIES = {
     "cli.console": {"rich"},
     "images.store": {"docker"},
     "config.inventory": {"pydantic", "pydantic_core"},
+    **{name: {"pydantic"} for name in ("config.hardware", "config.model")},
     "ssh.connect": {"paramiko"},
     "transfer.codec": {"backports", "compression"},
     "config.project_files": {"pathspec"},
     "config.yamlfile": {"yaml"},
 }
-"""Each library has one module that imports it, and turns its exceptions into ours."""
+"""Each library has one module that imports it, and turns its exceptions into ours; pydantic has one more for each part
+of an inventory that is a subject of its own."""
 
 PURE = {
     *("errors", "platforms", "terminal", "units"),
@@ -37,13 +39,15 @@ PURE = {
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("ros.cdr", "ros.environment", "ros.rosmsg", "ros.rtps", "ros.rtps_graph", "ros.silence"),
     *("ros.silent_stack", "ros.unused_settings"),
+    *("robot.hardware", "robot.raspberry_pi"),
     *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
     "plan",
     *(
         f"plan.{name}"
         for name in ("claims", "compose_steps", "containers", "delivery", "describe", "outcome", "prune")
     ),
-    *(f"plan.{name}" for name in ("readiness", "ship", "step")),
+    *(f"plan.{name}" for name in ("hardware", "readiness", "ship", "step")),
+    *("provision.hardware", "provision.jetson"),
     *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
     *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
@@ -54,7 +58,15 @@ PURE = {
 
 READS_FILES = {
     *("starter.packages", "starter.project"),
-    *("config.compose", "config.inventory", "config.merge", "config.project_files", "config.yamlfile"),
+    *(
+        "config.compose",
+        "config.hardware",
+        "config.inventory",
+        "config.model",
+        "config.merge",
+        "config.project_files",
+        "config.yamlfile",
+    ),
     *("config.docker_rules", "robot.release"),
 }
 

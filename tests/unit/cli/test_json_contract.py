@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fleet.cli import json_output, status
+from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
@@ -40,6 +41,12 @@ STATUS = {
     *(f"disk.{key}" for key in ("size", "free", "home_free", "shared")),
     *(f"docker.{key}" for key in ("state", "kind", "version", "client", "compose", "data_root", "driver")),
     *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot", "finish_unit")),
+    *("docker.runtimes", "docker.default_runtime", "docker.cdi"),
+    *(f"hardware.{key}" for key in ("model", "l4t", "raw_table", "toolkit", "cdi", "devices", "boot_folder")),
+    *(
+        f"hardware.{key}"
+        for key in ("raspi_config", "interfaces", "reboot_for", "udev_rules", "system_groups")
+    ),
     *("packages.installed", "packages.interrupted", "packages.docker_source"),
     *("fleet.legacy", "fleet.stacks"),
     *(f"fleet.stacks.NAME.{key}" for key in STACK),
@@ -51,6 +58,8 @@ INVENTORY = {
     *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace")),
     *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
+    *("hardware.devices", "hardware.udev", "hardware.interfaces", "hardware.groups"),
+    *(f"hardware.udev.NAME.{key}" for key in ("kind", "vendor", "product", "serial", "port")),
     *("environment", "pass_environment", "files", "known_hosts", "stacks", "peers"),
     *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
 }
@@ -79,14 +88,19 @@ FED = Step(title="write", argv=("tar",), feed=Bytes(label="2 files", data=b"12")
 PLAN = Plan(
     robot="pi1", summary="", steps=(FED,), record=Record(verb="ship", release="abc", by="tim@desktop")
 )
-WITH_STACK = PI.model_copy(update={"stacks": (StackFiles(files=(Path("compose.yaml"),)),)})
+WHOLE = PI.model_copy(
+    update={
+        "stacks": (StackFiles(files=(Path("compose.yaml"),)),),
+        "hardware": Hardware(udev={"lidar": Usb(vendor="10c4", product="ea60")}),
+    }
+)
 PRINTED = {
     "`fab status --json`": (
         STATUS,
         status.record(facts(current="abc", releases=("abc",), containers=(container("abc"),))),
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
-    "`fab inventory --json`": (INVENTORY, WITH_STACK.model_dump(mode="json")),
+    "`fab inventory --json`": (INVENTORY, WHOLE.model_dump(mode="json")),
     "`fab topics --json`": (
         {"name", "type", "publishers"},
         Topic(name="/time", type="std_msgs/msg/Header", publishers=1),
@@ -109,14 +123,14 @@ def keys(value: object, path: str = "") -> set[str]:
     if not isinstance(value, dict):
         return set()
     prefix = f"{path}." if path else ""
-    if path == "fleet.stacks":  # by name
+    if path in ("fleet.stacks", "hardware.udev") and value:  # by name
         value = {"NAME": next(iter(value.values()))}
     return {f"{prefix}{key}" for key in value} | set().union(
         *(keys(item, f"{prefix}{key}") for key, item in value.items())
     )
 
 
-SECTIONS = {"host", "login", "disk", "docker", "packages", "fleet", "ros"}
+SECTIONS = {"host", "login", "disk", "docker", "packages", "hardware", "fleet", "ros"}
 """Objects that the page shows by what is in them."""
 
 
@@ -130,7 +144,10 @@ def documented(heading: str) -> set[str]:
 def test_programs_can_rely_on_the_keys(heading: str) -> None:
     """A key that is renamed or gone breaks somebody's program: change this set in a major version only."""
     promised, value = PRINTED[heading]
-    assert keys(json.loads(json_output.text(value))) - SECTIONS - {"fleet.stacks.NAME"} == promised
+    assert (
+        keys(json.loads(json_output.text(value))) - SECTIONS - {"fleet.stacks.NAME", "hardware.udev.NAME"}
+        == promised
+    )
 
 
 @pytest.mark.parametrize("heading", PRINTED)

@@ -137,3 +137,14 @@ def test_a_live_status_goes_on_until_ctrl_c(own: Project) -> None:
     out, err = process.communicate(timeout=15)
     assert (process.returncode, err) == (0, "")
     assert "pi1" in out
+
+
+def test_the_inventory_with_what_robots_say(mine: Project) -> None:
+    """Facts of those that answer; the one that is away is told, and makes the code 1."""
+    done = mine.fleet("inventory", "--facts")
+    assert done.out.count("  facts.machine ") == 2
+    assert "away: " in done.err
+    assert done.code == 1
+    told = {one["name"]: one["facts"] for one in json.loads(mine.fleet("inventory", "--facts", "--json").out)}
+    assert [told[name]["reachable"] for name in ("pi1", "pi2", "away")] == [True, True, False]
+    assert told["pi1"]["host"]["machine"]

@@ -243,3 +243,41 @@ def test_rows_come_as_robots_answer_and_the_silent_ones_last() -> None:
 def test_the_total(seen: list[Facts | FleetError], total: str) -> None:
     """At the end, after all rows."""
     assert status.total({f"pi{number}": one for number, one in enumerate(seen)}) == total
+
+
+def test_a_jetson_shows_its_linux() -> None:
+    """Which images fit depends on it."""
+    assert cells(change(WELL, l4t="36.4.0"))["docker"] == ("28.0.4 (L4T 36.4.0)", "")
+
+
+def test_what_waits_for_a_reboot() -> None:
+    """A line for each such robot."""
+    seen: dict[str, Facts | FleetError] = {
+        "pi1": change(WELL, reboot_for=("i2c", "spi")),
+        "pi2": WELL,
+        "pi3": GONE,
+    }
+    assert list(status.reboots(seen)) == ["pi1 has to be rebooted to switch on i2c, spi"]
+
+
+def test_what_a_robot_is_and_has() -> None:
+    """In words for people; what is not known is left out."""
+    jetson = change(
+        WELL,
+        model="NVIDIA Jetson Orin Nano",
+        l4t="36.4.0",
+        raw_table=False,
+        runtimes=("io.containerd.runc.v2", "nvidia", "runc"),
+        devices=("/dev/ttyUSB0", "/dev/video0"),
+    )
+    assert status.described(jetson) == {
+        "board": "NVIDIA Jetson Orin Nano",
+        "system": "Debian GNU/Linux 13 (trixie)",
+        "machine": "aarch64",
+        "l4t": "36.4.0",
+        "docker": "28.0.4",
+        "runtimes": "nvidia, runc",
+        "raw table": "no (Docker 28 and newer need it)",
+        "groups": "pi, sudo, docker",
+        "devices": "/dev/ttyUSB0, /dev/video0",
+    }

@@ -25,6 +25,11 @@ REQUEST = Request(by="tim@desktop", run="1")
 
 # What the tools really print: Docker 20.10 and 26.1, Compose 2.26, apt 3.0 and dpkg 1.22, sudo 1.9, curl 8, dash, bash.
 HEARD = [
+    (  # Docker 28 on a Jetson (NVIDIA/NemoClaw #1076)
+        "iptables v1.8.9 (legacy): can't initialize iptables table `raw': Table does not exist",
+        "the robot's kernel has no iptables table `raw`, which Docker 28 and newer need",
+        "version: 27.5.1",
+    ),
     (
         "mkdir: cannot create directory '.fleet/releases/4b116d72170f.513.part': Permission denied",
         "something in the robot's ~/.fleet belongs to another user",

@@ -8,6 +8,7 @@ import pytest
 from fleet.images.image import (
     Image,
     configuration,
+    l4t,
     same_platform,
     tagged_for,
 )
@@ -83,3 +84,25 @@ def test_the_configuration_for_a_platform_is_found_through_an_index() -> None:
 def test_an_archive_that_says_nonsense_holds_nothing(text: str) -> None:
     """Whoever wrote it."""
     assert configuration({"manifest.json": text.encode(), "index.json": text.encode()}, "linux/arm64") is None
+
+
+@pytest.mark.parametrize(
+    ("reference", "config", "version"),
+    [
+        ("nvcr.io/nvidia/l4t-base:r36.2.0", {}, "36.2.0"),
+        ("nvcr.io/nvidia/l4t-pytorch:r35.2.1-pth2.0-py3", {}, "35.2.1"),
+        ("dustynv/ros:humble-desktop-l4t-r36.4.0", {"Env": ["PATH=/bin"], "Labels": None}, "36.4.0"),
+        ("dustynv/ros:humble-desktop-l4t-r36.4.0-arm64", {"Env": None}, "36.4.0"),
+        ("talker:latest", {"Env": ["L4T_VERSION=36.4"]}, "36.4"),
+        ("talker:latest", {"Env": ["L4T_VERSION=r35.4.1"]}, "35.4.1"),
+        ("talker:latest", {"Env": ["L4T_MAJOR_VERSION=32", "L4T_MINOR_VERSION=6"]}, "32"),
+        ("talker:latest", {"Labels": {"l4t_version": "r36.3.0"}}, "36.3.0"),
+        ("l4t-base:r36.2.0", {"Env": ["L4T_VERSION="]}, ""),
+        ("talker:latest", {"Env": ["L4T_VERSION=newest"]}, ""),
+        ("talker:r36.2.0", {}, ""),
+        ("talker:latest", {}, ""),
+    ],
+)
+def test_the_l4t_that_an_image_is_made_for(reference: str, config: dict[str, object], version: str) -> None:
+    """Variables and labels as people write them; the tags of NVIDIA and jetson-containers. An empty variable says: any."""
+    assert l4t(reference, config) == version

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import getpass
+import gzip
 import hashlib
 import json
 import os
@@ -20,6 +21,8 @@ from tests.support.robot_shell import SHELLS
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from fleet.robot.facts import Facts
 
 DIGEST = "1" * 64
 GZIP = "application/vnd.oci.image.layer.v1.tar+gzip"
@@ -432,3 +435,127 @@ def test_the_sections_about_images_come_only_when_asked_for(tmp_path: Path) -> N
     assert f"{MARK} tools" in probed(tmp_path)
     assert f"{MARK} tools" not in short
     assert short.endswith(f"{MARK} end\n")
+
+
+ROOTS = (
+    "/etc/nv_tegra_release",
+    "/etc/cdi",
+    "/etc/udev",
+    "/proc/device-tree",
+    "/proc/config.gz",
+    "/boot/firmware",
+    "/run/fleet",
+)
+CDI_YAML = """\
+---
+cdiVersion: 0.5.0
+containerEdits:
+  hooks:
+  - args: [nvidia-cdi-hook, name, kind]
+    hookName: createContainer
+devices:
+- containerEdits:
+    deviceNodes:
+    - path: /dev/nvhost-gpu
+  name: "0"
+- containerEdits: {}
+  name: all
+kind: nvidia.com/gpu
+"""
+CDI_JSON = json.dumps(
+    {"cdiVersion": "0.6.0", "kind": "vendor.com/arm", "devices": [{"name": "left"}]}, indent=4
+)
+
+
+def seen_below(root: Path, path: Path, *, images: bool = False) -> Facts:
+    """The probe, run with some files of a system that is below ``root``."""
+    _, flag, script, *arguments = command(images=images)
+    for place in ROOTS:
+        assert place in script
+        script = script.replace(place, f"{root}{place}")
+    script = script.replace("PATH=$PATH:/usr/sbin:/sbin", "")
+    environment = {"HOME": str(root), "PATH": str(path)}
+    argv = ("/bin/sh", flag, script, *arguments)
+    return parse(subprocess.run(argv, env=environment, capture_output=True, text=True, check=True).stdout)
+
+
+@pytest.fixture
+def tools(bare_path: Path) -> Path:
+    """A PATH with what the probe needs to look at hardware."""
+    for name in ("cut", "find", "head", "sh", "tr", "zcat", "gzip"):
+        if not (bare_path / name).exists():
+            (bare_path / name).symlink_to(shutil.which(name) or "")
+    return bare_path
+
+
+def file(root: Path, name: str, text: str) -> None:
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_text(text)
+
+
+def test_a_jetson_is_seen(tmp_path: Path, tools: Path) -> None:
+    """Its board, its Linux, the table that its kernel lacks, and the devices of CDI specifications in both forms."""
+    file(
+        tmp_path,
+        "etc/nv_tegra_release",
+        "# R36 (release), REVISION: 4.0, GCID: 37537400, BOARD: generic\n# more\n",
+    )
+    file(tmp_path, "proc/device-tree/model", "NVIDIA Jetson Orin Nano Developer Kit\0")
+    file(tmp_path, "etc/cdi/nvidia.yaml", CDI_YAML)
+    file(tmp_path, "etc/cdi/arm.json", CDI_JSON)
+    file(tmp_path, "etc/cdi/notes.txt", "kind: a/b\nname: c\n")
+    (tmp_path / "proc/config.gz").write_bytes(gzip.compress(b"# CONFIG_IP_NF_RAW is not set\n"))
+    program(tools, "iptables", "echo 'iptables v1.8.7 (nf_tables)'")
+    program(tools, "modprobe", "exit 1")
+    program(tools, "nvidia-ctk", "exit 0")
+    seen = seen_below(tmp_path, tools).hardware
+    assert (seen.model, seen.l4t) == ("NVIDIA Jetson Orin Nano Developer Kit", "36.4.0")
+    assert (seen.toolkit, seen.raw_table) == (True, False)
+    assert set(seen.cdi) == {"nvidia.com/gpu=0", "nvidia.com/gpu=all", "vendor.com/arm=left"}
+
+
+@pytest.mark.parametrize(
+    ("modprobe", "config", "iptables", "raw"),
+    [
+        ("exit 0", "", "legacy", True),
+        ("exit 1", "CONFIG_IP_NF_RAW=y", "legacy", True),
+        ("exit 1", "CONFIG_IP_NF_RAW=m", "legacy", False),
+        ("exit 1", "# CONFIG_IP_NF_RAW is not set", "legacy", False),
+        ("exit 1", "# CONFIG_IP_NF_RAW is not set", "nf_tables", True),
+    ],
+)
+def test_the_raw_table_of_the_kernel(
+    tmp_path: Path, tools: Path, modprobe: str, config: str, iptables: str, raw: bool
+) -> None:
+    """Built in, a module that is there, or nothing; iptables over nf_tables needs none."""
+    file(tmp_path, "proc/config.gz", "")
+    (tmp_path / "proc/config.gz").write_bytes(gzip.compress(f"{config}\n".encode()))
+    program(tools, "iptables", f"echo 'iptables v1.8.7 ({iptables})'")
+    program(tools, "modprobe", modprobe)
+    assert seen_below(tmp_path, tools).hardware.raw_table == raw
+
+
+def test_a_raspberry_pi_is_seen(tmp_path: Path, tools: Path) -> None:
+    """The lines of config.txt that count, also from a file with line ends of Windows; names that udev gives; what waits."""
+    file(tmp_path, "proc/device-tree/model", "Raspberry Pi 4 Model B Rev 1.4\0")
+    file(tmp_path, "boot/firmware/config.txt", "dtparam=i2c_arm=on\r\n#dtparam=spi=on\r\nenable_uart=1\r\n")
+    file(tmp_path, "boot/firmware/cmdline.txt", "console=tty1 root=PARTUUID=1\n")
+    file(tmp_path, "etc/udev/rules.d/99-fleet.rules", 'KERNELS=="1-1", SYMLINK+="null"\n')
+    file(tmp_path, "run/fleet-reboot", " i2c\n serial\n")
+    program(tools, "raspi-config", "exit 0")
+    seen = seen_below(tmp_path, tools).hardware
+    assert seen.model == "Raspberry Pi 4 Model B Rev 1.4"
+    assert seen.raspi_config
+    assert (seen.interfaces, seen.reboot_for) == (("i2c", "serial"), ("i2c", "serial"))
+    assert seen.udev_rules == 'KERNELS=="1-1", SYMLINK+="null"'
+    assert "/dev/null" in seen.devices
+    assert "root" in seen.system_groups
+
+
+def test_for_a_release_all_devices_are_listed(tmp_path: Path, tools: Path) -> None:
+    """A Compose file may name any; folders too."""
+    few, all_of_them = (
+        set(seen_below(tmp_path, tools, images=images).hardware.devices) for images in (False, True)
+    )
+    assert {"/dev/null", "/dev/zero", "/dev/pts"} <= all_of_them
+    assert "/dev/zero" not in few

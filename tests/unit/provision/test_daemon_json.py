@@ -12,6 +12,7 @@ from fleet.plan.step import Bytes
 from fleet.provision import daemon_json
 from fleet.robot.facts import Docker as Engine
 from fleet.robot.facts import Facts, Login
+from fleet.robot.hardware import Hardware
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,4 +72,19 @@ def test_writing_keeps_the_files_mode(tmp_path: Path) -> None:
         subprocess.run((*step.argv[:-1], str(path)), input=step.feed.data, check=True)
         assert path.read_bytes() == step.feed.data
     assert path.stat().st_mode & 0o777 == 0o666
-    assert list(path.parent.iterdir()) == [path]
+    assert sorted(path.parent.iterdir()) == [path, path.with_name("daemon.json.before-fleet")]
+
+
+def test_the_runtime_nvidia_joins_other_settings() -> None:
+    """One write for both; a person's runtimes stay."""
+    said = {**json.loads(json.dumps(written("{}"))), "runtimes": {"crun": {"path": "crun"}}}
+    toolkit = Hardware(toolkit=True)
+    (step,) = daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config=json.dumps(said)), hardware=toolkit))
+    assert step.title == "give Docker the runtime nvidia"
+    assert isinstance(step.feed, Bytes)
+    runtimes = {"nvidia": {"args": [], "path": "nvidia-container-runtime"}, "crun": {"path": "crun"}}
+    assert json.loads(step.feed.data) == {**said, "runtimes": runtimes}
+    told = Engine(daemon_config=step.feed.data.decode(), runtimes=("runc",))
+    assert daemon_json.steps(ROBOT, Facts(docker=told, hardware=toolkit)) == ()
+    with pytest.raises(NotReady):
+        daemon_json.steps(ROBOT, Facts(docker=Engine(daemon_config='{"runtimes": []}')))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.config.hardware import Hardware
 from fleet.config.inventory import Docker, Robot
 from fleet.errors import NotReady
 from fleet.plan.describe import lines
@@ -134,6 +135,55 @@ def test_a_ready_robot_needs_no_rights() -> None:
 def test_only_what_is_wrong_gets_a_step(broken: dict[str, object], cured_by: list[str]) -> None:
     """Docker that is there is never installed again: the script would restart the robot's containers."""
     assert titles(planned(change(READY, **broken))) == cured_by
+
+
+JETSON: dict[str, object] = {"model": "NVIDIA Jetson Orin Nano", "l4t": "36.4.0", "raw_table": False}
+
+
+def test_the_newest_docker_is_not_installed_on_a_jetson() -> None:
+    """It would not start there; with the line that the refusal names, the right one is installed."""
+    with pytest.raises(NotReady, match="no iptables table `raw`") as refused:
+        planned(change(BLANK, **JETSON))
+    assert refused.value.cure.startswith("write `docker: {version: 27.5.1}` for pi1 in the inventory;")
+    with pytest.raises(NotReady):
+        planned(change(BLANK, **JETSON), of=robot(version="28.0.1"))
+    assert "install Docker 27.5.1, which takes minutes" in titles(
+        planned(change(BLANK, **JETSON), of=robot(version="27.5.1"))
+    )
+
+
+def test_jetpacks_own_docker_is_left_alone() -> None:
+    """JetPack brings docker.io: the script never runs over it. It gets Compose, and the runtime of its toolkit."""
+    jetpack = change(
+        READY,
+        **JETSON,
+        docker_version="24.0.5",
+        client="24.0.5",
+        compose="",
+        installed=("docker.io", "zstd"),
+        toolkit=True,
+        runtimes=("runc",),
+    )
+    assert not steps.needs_script(jetpack)
+    plan = planned(jetpack)
+    assert titles(plan) == [
+        "give Docker the runtime nvidia",
+        "check that the robot reaches its package archive",
+        "install Docker's Compose plugin",
+        "let Docker read its settings; containers go on running",
+    ]
+    assert plan.steps[-1].title == "prove that Docker has the runtime nvidia"
+
+
+def test_what_waits_for_a_reboot_is_told() -> None:
+    """After a change, and each time until the robot was rebooted."""
+    pi = robot().model_copy(update={"hardware": Hardware(interfaces=["i2c"])})
+    off = change(READY, boot_folder="/boot/firmware")
+    reboot = "; reboot it to switch on i2c: `fab run --hosts pi1 -- sudo reboot`"
+    assert planned(off, of=pi).summary.endswith(reboot)
+    on = change(off, interfaces=("i2c",), reboot_for=("i2c",))
+    assert (planned(on, of=pi).steps, planned(on, of=pi).summary.endswith(reboot)) == ((), True)
+    assert planned(change(on, reboot_for=()), of=pi).summary == "Docker 28.1.0 with Compose 2.35.1"
 
 
 def test_the_clock_comes_first() -> None:

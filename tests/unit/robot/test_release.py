@@ -140,6 +140,19 @@ def test_words_for_old_versions_of_compose() -> None:
     assert found["volumes"][0]["bind"] == {"create_host_path": True}
 
 
+def test_devices_of_cdi_and_paths_with_colons() -> None:
+    """Old versions take a CDI name for a path, and text has no place for a colon in one."""
+    by_path = {"source": "/dev/serial/by-path/pci-0000:01:00.0-usb", "target": "/dev/a", "permissions": "rwm"}
+    gpu = {"source": "nvidia.com/gpu=all", "target": "nvidia.com/gpu=all", "permissions": "rwm"}
+    found = node(release({"devices": [gpu, by_path], "gpus": [{"count": 1}]}))
+    assert found["devices"] == [by_path]
+    assert found["deploy"]["resources"]["reservations"]["devices"] == [
+        {"capabilities": ["gpu"], "count": 1},
+        {"driver": "cdi", "capabilities": ["cdi"], "device_ids": ["nvidia.com/gpu=all"]},
+    ]
+    assert "devices" not in node(release({"devices": [gpu]}))
+
+
 def test_configs_and_secrets_become_files() -> None:
     """Text and variables too, which old versions of Compose do not know."""
     configs = {"a": {"content": "x$$y"}, "b": {"file": f"{HERE}/b.conf"}, "c": {"environment": "C"}}
