@@ -10,6 +10,7 @@ import io
 import json
 import os
 import tarfile
+import tempfile
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -17,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Self
 from fleet.errors import DesktopError, ImageError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Collection, Generator, Iterable, Mapping
     from types import ModuleType
 
     import docker
 
 from fleet.config.image_reference import one_image
-from fleet.images import image
+from fleet.images import image, push
 from fleet.images.chunks import SMALL, Chunks
 from fleet.images.image import Image, same_platform, tagged_for
 
@@ -32,6 +33,13 @@ CHUNK = 1 << 20
 
 PIECE = 128 * 1024
 """Bytes passed on at once, unless the engine gives more. Larger pieces cost the memory allocator more than they save."""
+
+
+_LOCAL = "http+docker://localhost"
+"""How the SDK calls an engine behind a socket of this computer: its loopback is ours, if it is no other's after all."""
+
+_SAVES = 100_000_000
+"""Bytes of an image per second that `docker save` gives out, staging included; a push packs a quarter of that."""
 
 
 class Store:
@@ -51,11 +59,17 @@ class Store:
         self._turns = threading.BoundedSemaphore(8)
         self._names: collections.Counter[str] = collections.Counter()
         self._names_lock = threading.Lock()
+        self._primer = contextlib.ExitStack()
+        self._primed = False
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._primer.close()
+        with self._names_lock:  # a Ctrl-C leaves threads behind, which do not come to their end
+            for name in +self._names:
+                self._forget(name)
         self._client.close()
 
     def find(self, reference: str, platform: str) -> Image:
@@ -187,10 +201,88 @@ class Store:
             with self._names_lock:
                 self._names[reference] -= 1
                 if not self._names[reference]:
-                    with contextlib.suppress(
-                        self._errors.DockerException, OSError
-                    ):  # somebody else removed it
-                        self._client.images.remove(reference, noprune=True)
+                    self._forget(reference)
+
+    def _forget(self, reference: str) -> None:
+        with contextlib.suppress(self._errors.DockerException, OSError):  # somebody else removed it
+            self._client.images.remove(reference, noprune=True)
+
+    @contextlib.contextmanager
+    def pushed(self, wanted: Image, layers: Collection[str]) -> Generator[Mapping[str, Path]]:
+        """Files by digest, out of a push: the configuration of an image and its ``layers`` (diff IDs), as Docker packs them.
+
+        Nothing, or a part of it, if a push cannot bring them or would take longer than `export`.
+        """
+        above = folder().parent  # a temporary folder of the system may be in memory
+        above.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".push-", dir=above) as name:
+            yield self._push(wanted, layers, Path(name)) if self._may_push(wanted, layers) else {}
+
+    def _may_push(self, wanted: Image, layers: Collection[str]) -> bool:
+        """Whether pushing ``layers`` is faster than `export`. A containerd store does not pack them for it."""
+        if self._client.api.base_url != _LOCAL:
+            return False
+        if self._containerd or not layers:
+            return True
+        try:
+            history: list[dict[str, int]] = self._client.api.history(wanted.reference)  # type: ignore[no-untyped-call]
+        except (self._errors.DockerException, OSError):
+            return False
+        # Newest first. Which entries of size 0 are layers, only the configuration knows: so this is at least their size.
+        sizes = [entry["Size"] for entry in history if entry["Size"]]
+        above = len(wanted.layers) - min(wanted.layers.index(layer) for layer in layers)
+        return 4 * sum(sizes[:above]) < wanted.size
+
+    def _push(self, wanted: Image, layers: Collection[str], folder: Path) -> dict[str, Path]:
+        # The second time it is known by which digest Docker knows a layer that it thought to be there.
+        lacks, arrived = {wanted.identity}, dict[str, Path]()
+        for _ in range(2):
+            with contextlib.ExitStack() as stack:
+                try:
+                    registry = stack.enter_context(
+                        push.Registry(lacks=lacks, folder=folder, most=wanted.size + SMALL)
+                    )
+                    one = self._begin_push(wanted.reference, registry, stack)
+                except (self._errors.DockerException, OSError):
+                    return {}
+                good = one.wait(
+                    while_=lambda registry=registry: registry.begun <= len(layers) + 1,  # type: ignore[misc]
+                    seconds=2 + wanted.size / _SAVES,
+                )
+                arrived |= {digest: path for digest, path in registry.arrived.items() if path}
+                if not good:
+                    return arrived
+            known = dict(zip(wanted.layers, push.blobs_of(registry.manifests[-1])[1], strict=False))
+            missing = {known[layer] for layer in layers if layer in known} - arrived.keys()
+            if not missing:
+                break
+            lacks |= missing
+        return arrived
+
+    def prime(self, wanted: Image) -> None:
+        """Let Docker push an image into nothing until the store is closed: what it has pushed once, it can leave out later. One image is enough at a time.
+
+        A containerd store knows what it has anyway.
+        """
+        if self._primed or self._client.api.base_url != _LOCAL or self._containerd:
+            return
+        self._primed = True
+        with contextlib.suppress(self._errors.DockerException, OSError):
+            registry = self._primer.enter_context(push.Registry(lacks=(), folder=None, most=0))
+            self._primer.callback(self._begin_push(wanted.reference, registry, self._primer).stop)
+
+    def _begin_push(self, local: str, registry: push.Registry, stack: contextlib.ExitStack) -> push.Push:
+        """Begin to push an image under a name that it has until the stack is closed."""
+        tag = push.own_tag()
+        stack.enter_context(self._named(local, f"{registry.repository}:{tag}"))
+
+        def upload(repository: str, tag: str) -> Iterable[Mapping[str, Any]]:
+            events: Iterable[Mapping[str, Any]] = self._client.api.push(
+                repository, tag=tag, stream=True, decode=True, auth_config={}
+            )
+            return events
+
+        return push.Push(upload, registry=registry, tag=tag)
 
 
 def folder() -> Path:
