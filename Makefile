@@ -75,13 +75,14 @@ test-faults: testbed env ## power cuts, cut links, people at once, full disks, l
 	$(STEP) 'Faults'
 	@FLEET_FAULTS=$(FAULTS) FLEET_FAULTS_PAGE=docs/reliability.md $(VENV)/bin/pytest tests/lab/test_power.py tests/lab/test_faults.py tests/lab/test_hostile.py
 
-lint: env ## style, spelling, types, layers, shell scripts, the workflow
+lint: env ## style, spelling, types, layers, shell scripts, Dockerfile, the workflow
 	$(STEP) 'Style and types'
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(VENV)/bin/shellcheck $(SCRIPTS)
 	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
+	@$(VENV)/bin/hadolint docker/Dockerfile
 	@$(VENV)/bin/codespell
 	@$(VENV)/bin/zizmor --offline --quiet .github
 	@$(VENV)/bin/mypy

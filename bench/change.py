@@ -186,13 +186,19 @@ def _bench(
         with registry(port=port, folder=folder, say=say):
             yield bench
     finally:
-        for stack in ("small", "large"):
-            for name in (
-                tagged_for(f"{NAME}-{stack}", desktop_platform()),
-                f"localhost:{port}/{NAME}-{stack}",
-            ):
-                docker_or_none("image", "rm", name)
+        _forget(port)
         lifecycle.down(directory=directory, name=NAME, say=say)
+
+
+def _forget(port: int) -> None:
+    """Remove the images of this bench from this computer, those of earlier rounds too, which have only a digest."""
+    for stack in ("small", "large"):
+        docker_or_none("image", "rm", tagged_for(f"{NAME}-{stack}", desktop_platform()))
+        pushed = f"localhost:{port}/{NAME}-{stack}"
+        form = "{{.Repository}}@{{.Digest}}"
+        for name in docker("image", "ls", "--digests", "--format", form, pushed).split():
+            docker_or_none("image", "rm", name)
+        docker_or_none("image", "rm", pushed)
 
 
 @dataclass(frozen=True, kw_only=True)

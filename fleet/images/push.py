@@ -42,11 +42,13 @@ class Registry:
 
     ``begun`` counts the uploads. Blobs that have arrived are files in ``folder`` named by their digest (hex), whose bytes
     have that digest; without a folder they are dropped. It takes at most ``most`` bytes. ``manifests`` are those that
-    were pushed, in their order.
+    were pushed, in their order. With ``refuses`` they are read and then refused: for a classic store a push that ended well
+    gives the image a name for ever, by the manifest's digest.
     """
 
-    def __init__(self, *, lacks: Iterable[str], folder: Path | None, most: int) -> None:
+    def __init__(self, *, lacks: Iterable[str], folder: Path | None, most: int, refuses: bool = True) -> None:
         self.lacks = set(lacks)
+        self.refuses = refuses
         self.begun = 0
         self.manifests: list[bytes] = []
         self.arrived: dict[str, Path | None] = {}
@@ -168,7 +170,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if "/manifests/" in self.path:
             manifest = b"".join(self._body())
             self.registry.manifests.append(manifest)
-            self._answer(201, {"Docker-Content-Digest": f"sha256:{hashlib.sha256(manifest).hexdigest()}"})
+            digest = f"sha256:{hashlib.sha256(manifest).hexdigest()}"
+            self._answer(400 if self.registry.refuses else 201, {"Docker-Content-Digest": digest})
             return
         self._take()
         digest = parse_qs(urlsplit(self.path).query).get("digest", [""])[0]
@@ -222,18 +225,17 @@ class Push:
     def __init__(self, upload: Upload, *, registry: Registry, tag: str) -> None:
         self._stopped = threading.Event()
         self.over = threading.Event()
-        self.failed = ""
+        self._registry = registry
         work = threading.Thread(target=self._run, args=(upload, registry.repository, tag), daemon=True)
         work.start()
 
     def _run(self, upload: Upload, repository: str, tag: str) -> None:
         try:
-            for event in upload(repository, tag):
+            for _ in upload(repository, tag):
                 if self._stopped.is_set():
                     break  # which closes the connection, and so Docker ends the push
-                self.failed = str(event.get("error") or self.failed)
-        except Exception as problem:  # noqa: BLE001  whatever it is, there is another way
-            self.failed = str(problem) or type(problem).__name__
+        except Exception:  # noqa: BLE001, S110  whatever it is, there is another way
+            pass
         finally:
             self.over.set()
 
@@ -242,13 +244,13 @@ class Push:
         self._stopped.set()
 
     def wait(self, *, while_: Callable[[], bool], seconds: float) -> bool:
-        """Wait until it has ended, for at most ``seconds`` and only ``while_`` that holds: whether it has ended well."""
+        """Wait until it has ended, for at most ``seconds`` and only ``while_`` that holds: whether it got as far as the manifest."""
         deadline = time.monotonic() + seconds
         while not self.over.wait(_TICK):
             if time.monotonic() > deadline or not while_():
                 self.stop()
                 return False
-        return not self.failed
+        return bool(self._registry.manifests)
 
 
 def own_tag() -> str:

@@ -240,7 +240,12 @@ class Store:
             with contextlib.ExitStack() as stack:
                 try:
                     registry = stack.enter_context(
-                        push.Registry(lacks=lacks, folder=folder, most=wanted.size + SMALL)
+                        push.Registry(
+                            lacks=lacks,
+                            folder=folder,
+                            most=wanted.size + SMALL,
+                            refuses=not self._containerd,
+                        )
                     )
                     one = self._begin_push(wanted.reference, registry, stack)
                 except (self._errors.DockerException, OSError):
@@ -252,7 +257,8 @@ class Store:
                 arrived |= {digest: path for digest, path in registry.arrived.items() if path}
                 if not good:
                     return arrived
-            known = dict(zip(wanted.layers, push.blobs_of(registry.manifests[-1])[1], strict=False))
+            found = dict(map(push.blobs_of, registry.manifests))
+            known = dict(zip(wanted.layers, found.get(wanted.identity, ()), strict=False))
             missing = {known[layer] for layer in layers if layer in known} - arrived.keys()
             if not missing:
                 break
