@@ -35,6 +35,7 @@ PORTS = tuple(range(41370, 41374))
 _CHUNK = 1 << 20
 _TICK = 0.01  # seconds between two looks at a push
 _TLS_HANDSHAKE = b"\x16"  # how a TLS record begins that opens a connection: Docker tries that first
+_TLS_HEADER = 5  # bytes of a record before its content; the last two are the length (RFC 8446, section 5.1)
 
 
 class Registry:
@@ -83,6 +84,11 @@ class Registry:
         """The full name of `REPOSITORY`, with the address."""
         assert self._server  # noqa: S101  for the type checker
         return f"127.0.0.1:{self._server.server_port}/{REPOSITORY}"
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The blobs that have arrived and are kept, by their digest."""
+        return {digest: path for digest, path in self.arrived.items() if path}
 
     def has(self, digest: str) -> bool:
         """Whether a blob need not be uploaded."""
@@ -139,11 +145,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     timeout = 60.0  # seconds of silence
 
     def handle_one_request(self) -> None:
-        """See ``http.server``. TLS is refused at once: Docker then goes on without."""
+        """See ``http.server``. TLS is answered as Go's servers do: by that Docker knows that it has to go on without."""
         with contextlib.suppress(OSError):
             if self.rfile.peek(1)[:1] != _TLS_HANDSHAKE:  # type: ignore[attr-defined]  # a BufferedReader
                 super().handle_one_request()
                 return
+            self.rfile.read(int.from_bytes(self.rfile.read(_TLS_HEADER)[-2:]))
+            self.wfile.write(b"HTTP/1.0 400 Bad Request\r\n\r\nThis is HTTP.\n")
         self.close_connection = True
 
     def log_message(self, *_: object) -> None:

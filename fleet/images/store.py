@@ -117,7 +117,7 @@ class Store:
         identity, layers = attributes["Id"], tuple(attributes["RootFS"].get("Layers") or ())
         settings = attributes.get("Config") or {}
         if self._containerd:
-            config = self._configuration(name, attributes["Id"], wanted)
+            config = self._configuration(name, attributes["Id"], wanted, size=attributes["Size"])
             if config is not None:
                 shown, identity = wanted, f"sha256:{hashlib.sha256(config).hexdigest()}"
                 described = json.loads(config)
@@ -140,8 +140,8 @@ class Store:
             raise DesktopError(f"Docker on this computer does not answer: {problem}") from problem
         return any("io.containerd.snapshotter" in str(pair) for pair in status)
 
-    def _configuration(self, name: str, image_id: str, platform: str) -> bytes | None:
-        """Read it out of the archive of the image, and keep it: the archive may be large.
+    def _configuration(self, name: str, image_id: str, platform: str, *, size: int) -> bytes | None:
+        """Read it out of a push, or else out of the archive of the image, and keep it: the archive may be large.
 
         The file is named by the ID, the platform, and the digest of its content.
         """
@@ -152,7 +152,8 @@ class Store:
                 if path.name == f"{kept.name}.{hashlib.sha256(data).hexdigest()}":
                     return data
         try:
-            config = image.configuration(_small_members(self._saved(name)), platform)
+            config = self._pushed_configuration(name, image_id, platform=platform, size=size)
+            config = config or image.configuration(_small_members(self._saved(name)), platform)
         except tarfile.TarError as problem:
             raise DesktopError(f"what Docker saves of image {name} cannot be read: {problem}") from problem
         if config is not None:
@@ -213,10 +214,8 @@ class Store:
 
         Nothing, or a part of it, if a push cannot bring them or would take longer than `export`.
         """
-        above = folder().parent  # a temporary folder of the system may be in memory
-        above.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".push-", dir=above) as name:
-            yield self._push(wanted, layers, Path(name)) if self._may_push(wanted, layers) else {}
+        with _scratch() as place:
+            yield self._push(wanted, layers, place) if self._may_push(wanted, layers) else {}
 
     def _may_push(self, wanted: Image, layers: Collection[str]) -> bool:
         """Whether pushing ``layers`` is faster than `export`. A containerd store does not pack them for it."""
@@ -237,26 +236,10 @@ class Store:
         # The second time it is known by which digest Docker knows a layer that it thought to be there.
         lacks, arrived = {wanted.identity}, dict[str, Path]()
         for _ in range(2):
-            with contextlib.ExitStack() as stack:
-                try:
-                    registry = stack.enter_context(
-                        push.Registry(
-                            lacks=lacks,
-                            folder=folder,
-                            most=wanted.size + SMALL,
-                            refuses=not self._containerd,
-                        )
-                    )
-                    one = self._begin_push(wanted.reference, registry, stack)
-                except (self._errors.DockerException, OSError):
-                    return {}
-                good = one.wait(
-                    while_=lambda registry=registry: registry.begun <= len(layers) + 1,  # type: ignore[misc]
-                    seconds=2 + wanted.size / _SAVES,
-                )
-                arrived |= {digest: path for digest, path in registry.arrived.items() if path}
-                if not good:
-                    return arrived
+            registry = self._push_once(
+                wanted.reference, lacks, folder=folder, size=wanted.size, uploads=len(layers) + 1
+            )
+            arrived |= registry.files
             found = dict(map(push.blobs_of, registry.manifests))
             known = dict(zip(wanted.layers, found.get(wanted.identity, ()), strict=False))
             missing = {known[layer] for layer in layers if layer in known} - arrived.keys()
@@ -265,10 +248,35 @@ class Store:
             lacks |= missing
         return arrived
 
-    def prime(self, wanted: Image) -> None:
-        """Let Docker push an image into nothing until the store is closed: what it has pushed once, it can leave out later. One image is enough at a time.
+    def _push_once(
+        self, reference: str, lacks: Collection[str], *, folder: Path, size: int, uploads: int
+    ) -> push.Registry:
+        """Push an image of ``size`` bytes, unless Docker begins more ``uploads`` or takes longer than `export` would."""
+        registry = push.Registry(lacks=lacks, folder=folder, most=size + SMALL, refuses=not self._containerd)
+        with contextlib.suppress(self._errors.DockerException, OSError), contextlib.ExitStack() as stack:
+            stack.enter_context(registry)
+            one = self._begin_push(reference, registry, stack)
+            one.wait(while_=lambda: registry.begun <= uploads, seconds=2 + size / _SAVES)
+        return registry
 
-        A containerd store knows what it has anyway.
+    def _pushed_configuration(self, name: str, image_id: str, *, platform: str, size: int) -> bytes | None:
+        """The configuration of an image in a containerd store, for a platform: the manifests name it, and a second push brings it."""
+        if self._client.api.base_url != _LOCAL:
+            return None
+        with _scratch() as folder:
+            manifests = self._push_once(name, (), folder=folder, size=size, uploads=0).manifests
+            if image_id not in {f"sha256:{hashlib.sha256(data).hexdigest()}" for data in manifests}:
+                return None
+            configs = {push.blobs_of(data)[0] for data in manifests} - {""}
+            files = self._push_once(name, configs, folder=folder, size=SMALL, uploads=len(configs)).files
+            small = {f"blobs/sha256/{path.name}": path.read_bytes() for path in files.values()}
+            listing = json.dumps([{"Config": path} for path in small]).encode()
+            return image.configuration({**small, "manifest.json": listing}, platform)
+
+    def prime(self, wanted: Image) -> None:
+        """Let Docker push an image into nothing until the store is closed: what it has pushed once, it can leave out later.
+
+        One image at a time is enough. A containerd store knows what it has anyway.
         """
         if self._primed or self._client.api.base_url != _LOCAL or self._containerd:
             return
@@ -294,6 +302,15 @@ class Store:
 def folder() -> Path:
     """Where configurations are kept; the variable ``XDG_CACHE_HOME`` changes it. It may be removed at any time."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "configurations"
+
+
+@contextlib.contextmanager
+def _scratch() -> Generator[Path]:
+    """A folder for what is pushed. It is not in the system's temporary folder, which may be in memory."""
+    above = folder().parent
+    above.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".push-", dir=above) as name:
+        yield Path(name)
 
 
 def _small_members(chunks: Iterable[bytes]) -> dict[str, bytes]:
