@@ -101,11 +101,15 @@ class Scene:
 
 @dataclass(kw_only=True)
 class Measured:
-    """All runs, by scene and way; the way ``limit`` stops and starts by hand what is there already."""
+    """All runs, by scene and way; the way ``limit`` stops and starts by hand what is there already.
+
+    ``unfinished`` says why not all was measured.
+    """
 
     scenes: tuple[Scene, ...]
     runs: dict[tuple[str, str], list[Timeline]] = field(default_factory=dict)
     engine: str = ""
+    unfinished: str = ""
     sizes: dict[str, int] = field(default_factory=dict)
 
     def median(self, scene: Scene, way: str) -> Timeline | None:
@@ -143,20 +147,33 @@ def measure(
         Scene(title="1 robot, an image of 700 MB", stack="large", robots=1),
     )
     measured = Measured(scenes=(one, *((many,) if wanted.robots > 1 else ()), large))
-    with _bench(wanted.robots, folder=folder, environment=environment, say=say) as bench:
-        measured.engine = bench.on(bench.pis[0], "docker version --format '{{.Server.Version}}'")
-        for scene in measured.scenes:
-            bench.begin(scene)
-            measured.sizes[scene.stack] = int(
-                docker("image", "inspect", "--format", "{{.Size}}", bench.image(scene))
-            )
-            for turn in range(wanted.rounds if scene.robots == 1 else 1):
-                for way in ("limit", *WAYS):
-                    run = bench.run(scene, way)
-                    measured.runs.setdefault((scene.title, way), []).append(run)
-                    say(f"{scene.title}, round {turn + 1}, {way}: {_told(run)}")
-            bench.end(scene)
+    try:
+        with _bench(wanted.robots, folder=folder, environment=environment, say=say) as bench:
+            measured.engine = bench.on(bench.pis[0], "docker version --format '{{.Server.Version}}'")
+            for scene in measured.scenes:
+                _measure(scene, bench, wanted, measured, say=say)
+    except TimeoutError as over:
+        if not measured.runs:
+            raise
+        measured.unfinished = str(over)
+        say(f"ended early: {over}")
     return measured
+
+
+def _measure(
+    scene: Scene, bench: _Bench, wanted: Asked, measured: Measured, *, say: Callable[[str], None]
+) -> None:
+    """Measure one scene; a round counts when all its ways are through."""
+    bench.begin(scene)
+    measured.sizes[scene.stack] = int(docker("image", "inspect", "--format", "{{.Size}}", bench.image(scene)))
+    for turn in range(wanted.rounds if scene.robots == 1 else 1):
+        runs = {}
+        for way in ("limit", *WAYS):
+            runs[way] = bench.run(scene, way)
+            say(f"{scene.title}, round {turn + 1}, {way}: {_told(runs[way])}")
+        for way, run in runs.items():
+            measured.runs.setdefault((scene.title, way), []).append(run)
+    bench.end(scene)
 
 
 def _told(run: Timeline) -> str:

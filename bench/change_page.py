@@ -32,7 +32,7 @@ Written by `make bench-change` on {when}; do not edit. {machine}
 Seconds of each part, on the robot whose first message came last:
 
 {runs}
-
+{unfinished}
 - **A run** changes one line of the node, builds the image, brings it to the robots and starts it. Each way begins with its
   own previous version running, on the same robots. Ways are measured in turn; with one robot {rounds} times, and the
   table shows the run that took the median time.
@@ -85,6 +85,7 @@ def page(measured: Measured, *, when: str, machine: str) -> str:
         machine=machine,
         goals=table(COLUMNS, [row.cells() for row in goals(measured)]),
         runs=table(("what", "way", *PHASES, "all"), rows(measured)),
+        unfinished=f"\nThis run ended early, {measured.unfinished}.\n" if measured.unfinished else "",
         rounds=max(len(runs) for runs in measured.runs.values()),
         small=round(measured.sizes["small"] / 1e6),
         ballast=round(BALLAST / 1e6),

@@ -41,7 +41,7 @@ _TLS_HEADER = 5  # bytes of a record before its content; the last two are the le
 class Registry:
     """A registry on loopback that has every blob, except those in ``lacks``.
 
-    ``begun`` counts the uploads. Blobs that have arrived are files in ``folder`` named by their digest (hex), whose bytes
+    ``at_once`` is the highest number of uploads at the same time. Blobs that have arrived are files in ``folder`` named by their digest (hex), whose bytes
     have that digest; without a folder they are dropped. It takes at most ``most`` bytes. ``manifests`` are those that
     were pushed, in their order. With ``refuses`` they are read and then refused: for a classic store a push that ended well
     gives the image a name for ever, by the manifest's digest.
@@ -50,7 +50,8 @@ class Registry:
     def __init__(self, *, lacks: Iterable[str], folder: Path | None, most: int, refuses: bool = True) -> None:
         self.lacks = set(lacks)
         self.refuses = refuses
-        self.begun = 0
+        self.at_once = 0
+        self._begun = 0
         self.manifests: list[bytes] = []
         self.arrived: dict[str, Path | None] = {}
         self._folder = folder
@@ -97,9 +98,10 @@ class Registry:
     def begin(self) -> str:
         """Begin an upload; return its name."""
         with self._lock:
-            self.begun += 1
-            name = f"upload-{self.begun}"
+            self._begun += 1
+            name = f"upload-{self._begun}"
             self._parts[name] = (self._folder / name if self._folder else None, hashlib.sha256())
+            self.at_once = max(self.at_once, len(self._parts))
         return name
 
     def take(self, name: str, chunks: Iterable[bytes]) -> int:

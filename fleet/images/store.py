@@ -237,7 +237,12 @@ class Store:
         lacks, arrived = {wanted.identity}, dict[str, Path]()
         for _ in range(2):
             registry = self._push_once(
-                wanted.reference, lacks, folder=folder, size=wanted.size, uploads=len(layers) + 1
+                wanted.reference,
+                lacks,
+                folder=folder,
+                size=wanted.size,
+                # A classic store sends the configuration when the layers are through.
+                uploads=len(layers) + 1 if self._containerd else max(1, len(layers)),
             )
             arrived |= registry.files
             found = dict(map(push.blobs_of, registry.manifests))
@@ -251,12 +256,12 @@ class Store:
     def _push_once(
         self, reference: str, lacks: Collection[str], *, folder: Path, size: int, uploads: int
     ) -> push.Registry:
-        """Push an image of ``size`` bytes, unless Docker begins more ``uploads`` or takes longer than `export` would."""
+        """Push an image of ``size`` bytes, unless Docker begins more ``uploads`` at once, or takes longer than `export` would."""
         registry = push.Registry(lacks=lacks, folder=folder, most=size + SMALL, refuses=not self._containerd)
         with contextlib.suppress(self._errors.DockerException, OSError), contextlib.ExitStack() as stack:
             stack.enter_context(registry)
             one = self._begin_push(reference, registry, stack)
-            one.wait(while_=lambda: registry.begun <= uploads, seconds=2 + size / _SAVES)
+            one.wait(while_=lambda: registry.at_once <= uploads, seconds=2 + size / _SAVES)
         return registry
 
     def _pushed_configuration(self, name: str, image_id: str, *, platform: str, size: int) -> bytes | None:

@@ -111,3 +111,13 @@ now new
         "start": 1795866237.3,
         "first message": 1795866239.5,
     }
+
+
+def test_a_run_that_ended_early_says_so() -> None:
+    """And tells what it has."""
+    some = measured(fab=4.5, save=13.6, registry=4.6)
+    some.scenes = (*some.scenes, LARGE)
+    some.unfinished = "not done after 9 s"
+    page = change_page.page(some, when="today", machine="The computer.")
+    assert "\n\nThis run ended early, not done after 9 s.\n\n" in page
+    assert "| large |" not in page

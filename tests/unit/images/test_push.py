@@ -80,7 +80,17 @@ def test_an_upload_arrives_under_its_digest(registry: Registry, client: Client, 
     assert client.upload(LAYER) == 201
     assert registry.arrived == {digest(LAYER): tmp_path / digest(LAYER).removeprefix("sha256:")}
     assert (tmp_path / digest(LAYER).removeprefix("sha256:")).read_bytes() == LAYER
-    assert (client.there(digest(LAYER)), registry.begun) == (True, 1)
+    assert (client.there(digest(LAYER)), registry.at_once) == (True, 1)
+
+
+def test_uploads_at_once_are_counted(registry: Registry, client: Client) -> None:
+    """By that it shows if Docker sends what is not wanted; the configuration comes when the layers are through."""
+    for _ in range(2):
+        client.upload(LAYER)
+    assert registry.at_once == 1
+    for _ in range(2):
+        client.ask("POST", f"/v2/{client.name}/blobs/uploads/")
+    assert registry.at_once == 2
 
 
 def test_damaged_bytes_do_not_count(registry: Registry, client: Client, tmp_path: Path) -> None:
