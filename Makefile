@@ -16,7 +16,7 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) flee
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-change picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -75,13 +75,14 @@ test-faults: testbed env ## power cuts, cut links, people at once, full disks, l
 	$(STEP) 'Faults'
 	@FLEET_FAULTS=$(FAULTS) FLEET_FAULTS_PAGE=docs/reliability.md $(VENV)/bin/pytest tests/lab/test_power.py tests/lab/test_faults.py tests/lab/test_hostile.py
 
-lint: env ## style, spelling, types, layers, shell scripts, the workflow
+lint: env ## style, spelling, types, layers, shell scripts, Dockerfile, the workflow
 	$(STEP) 'Style and types'
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(VENV)/bin/shellcheck $(SCRIPTS)
 	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
+	@$(VENV)/bin/hadolint docker/Dockerfile
 	@$(VENV)/bin/codespell
 	@$(VENV)/bin/zizmor --offline --quiet .github
 	@$(VENV)/bin/mypy
@@ -94,13 +95,16 @@ format: env ## put the code into the project's format
 reference: env ## write the pages of docs/reference/ that say what the code says
 	@$(VENV)/bin/python -m docs.generate
 
-bench: bench-local bench-transfer ## both of the following, and docs/benchmarks*.md
+bench: bench-local bench-transfer bench-change ## all of the following, and docs/benchmarks*.md
 
 bench-local: testbed env ## measure what must be fast on this computer (under 10 minutes)
 	@$(VENV)/bin/python -m bench
 
 bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the usual ways, as root (under 40 minutes)
 	@$(VENV)/bin/python -m bench transfer $(BENCH)
+
+bench-change: testbed env ## measure one changed line until 1 and 20 robots run it, beside the usual ways (under 40 minutes)
+	@$(VENV)/bin/python -m bench change $(BENCH)
 
 picture: env ## draw the README's picture of what a fleet that runs prints
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture

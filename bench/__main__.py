@@ -1,7 +1,8 @@
 """``make bench``: measure what must be fast, print it, and write ``docs/benchmarks.md``. Needs Docker; under 10 minutes.
 
 ``make bench-transfer`` is ``python -m bench transfer``: images over an emulated Wi-Fi, written to
-``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes.
+``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes. ``make bench-change`` is
+``python -m bench change``: one changed line of a node until robots run it, written to ``docs/benchmarks-change.md``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import paramiko
 
-from bench import asking, figures, report, resolving, streaming, transfer
+from bench import asking, change, change_page, figures, report, resolving, streaming, transfer
 from bench.pairs import ROOT, cpu_per_gigabyte, seconds, spend
 from bench.report import Row, ratio
 from fleet.cli.console import Screen
@@ -35,6 +36,9 @@ TIME = 540
 TRANSFER_TIME = 2400
 """The same for ``make bench-transfer``."""
 
+CHANGE_TIME = 2400
+"""The same for ``make bench-change``."""
+
 ROBOTS = 3
 FLEETS = (1, 20, 200)
 SERVERS = 50
@@ -45,6 +49,8 @@ def main() -> int:
     """Measure, print, write; 0 when every goal is met, 1 when one is not."""
     if sys.argv[1:2] == ["transfer"]:
         return _transfer(transfer.asked(sys.argv[2:]))
+    if sys.argv[1:2] == ["change"]:
+        return _change(change.asked(sys.argv[2:]))
     screen = Screen()
     when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
     try:
@@ -79,6 +85,22 @@ def _transfer(asked: transfer.Asked) -> int:
     (ROOT / "docs" / "benchmarks-transfer.md").write_text(page, encoding="utf-8")
     (ROOT / "docs" / "benchmarks-transfer.svg").write_text(figures.picture(measured), encoding="utf-8")
     return 0 if all(row.met for row in rows) and not measured.failed else 1
+
+
+def _change(asked: change.Asked) -> int:
+    screen = Screen()
+    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
+    try:
+        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(CHANGE_TIME):
+            measured = change.measure(asked, folder=Path(folder), environment=_environment(), say=screen.say)
+    except (FleetError, RuntimeError, TimeoutError) as problem:
+        screen.say(f"bench: {problem}")
+        return 1
+    rows = change_page.goals(measured)
+    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
+    page = change_page.page(measured, when=when, machine=_machine(measured.engine, load))
+    (ROOT / "docs" / "benchmarks-change.md").write_text(page, encoding="utf-8")
+    return 0 if all(row.met for row in rows) and not measured.unfinished else 1
 
 
 def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tuple[Row, ...]:

@@ -205,6 +205,17 @@ def renamed(run: Run, variant: str) -> Run:
 @contextlib.contextmanager
 def registries(link: Wifi, *, port: int, folder: Path, say: Callable[[str], None]) -> Iterator[None]:
     """The same registry twice: where this computer's Docker pushes to, and where the desk's tunnels end."""
+    with contextlib.ExitStack() as stack:
+        for inside in ((), link.at_desk()):
+            stack.enter_context(registry(port=port, folder=folder, say=say, inside=inside))
+        yield
+
+
+@contextlib.contextmanager
+def registry(
+    *, port: int, folder: Path, say: Callable[[str], None], inside: tuple[str, ...] = ()
+) -> Iterator[None]:
+    """Debian's registry on loopback; ``inside`` is what a command begins with that runs it somewhere else."""
     program = _registry(say=say)
     settings = folder / "registry.yml"
     settings.write_text(
@@ -212,14 +223,13 @@ def registries(link: Wifi, *, port: int, folder: Path, say: Callable[[str], None
         f"storage: {{filesystem: {{rootdirectory: {folder / 'registry'}}}}}\n"
         f"http: {{addr: 'localhost:{port}'}}\n"
     )
-    serve = (program, "serve", str(settings))
-    with contextlib.ExitStack() as stack:
-        for command in (serve, link.at_desk(*serve)):
-            process = stack.enter_context(
-                subprocess.Popen(command, stdin=-3, stdout=-3, stderr=-3, start_new_session=True)
-            )
-            stack.callback(process.terminate)
-        yield
+    with subprocess.Popen(
+        (*inside, program, "serve", str(settings)), stdin=-3, stdout=-3, stderr=-3, start_new_session=True
+    ) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 def _registry(*, say: Callable[[str], None]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fleet.cli.beside import beside
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.stacks import Stacks, images_of, warnings_of
@@ -51,12 +52,12 @@ def build(
     ~/.cache/fleet/builds. If a step fails, its last lines are shown.
     """
     robots, screen = _for_platform(select(inventory, hosts)[1], platform), Screen()
-    with Stacks(variables=_variables) as stacks:
+    with beside(buildkit_client) as client, beside(Store) as opened, Stacks(variables=_variables) as stacks:
         found = stacks.of(robots, only=stack)
         screen.warnings(warnings_of(found))
         wanted = [(robot, one) for robot in robots for one in found[robot.name]]
         flags = ["--no-cache"] * no_cache + ["--pull"] * pull
-        commands = _commands(wanted, flags)
+        commands = _commands(wanted, flags, client=client())
         if pull:
             screen.warnings({one.reference: [_NOT_PULLED] for one in commands if one.bases})
         if dry:
@@ -64,7 +65,7 @@ def build(
             return
         with screen.progress() as progress:
             builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
-        with Store() as store:
+        with opened() as store:
             images = [image for robot, one in wanted for image in _built(one, robot, store)]
         screen.images(list({image.reference: image for image in images}.values()), json=json)
 
@@ -92,9 +93,10 @@ def _variables(project: Project, robot: Robot) -> dict[str, str]:
     return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
 
 
-def _commands(wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str]) -> list[builds.Command]:
+def _commands(
+    wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str], *, client: Sequence[str]
+) -> list[builds.Command]:
     """What has to be run for all robots, each once."""
-    client = buildkit_client()
     commands: list[builds.Command] = []
     for robot, one in wanted:
         needs = builds.bases(one.project, robot.platform).values()

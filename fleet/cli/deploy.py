@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 import time
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from fleet.cli import whose
+from fleet.cli.beside import beside
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
@@ -118,9 +120,13 @@ def ship(
         run=secrets.token_hex(8), wait=wait, conflict=_conflict(prefer), keep=keep, renamed=renamed
     )
     limiter = RateLimiter(bytes_per_second(limit))
-    with Stacks() as stacks, Store() as store, Sender.using(store, limiter=limiter, by=whoami()) as sender:
+    with contextlib.ExitStack() as opened:
+        store_opened = opened.enter_context(beside(Store))
+        stacks = opened.enter_context(Stacks())
         found = stacks.of(robots, only=stack)
         screen.warnings(warnings_of(found))
+        store = opened.enter_context(store_opened())
+        sender = opened.enter_context(Sender.using(store, limiter=limiter, by=whoami()))
         releases = {robot.name: stacks.releases(robot, found[robot.name], store) for robot in robots}
         planner = _Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]

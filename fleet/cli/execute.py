@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 OBSERVE = "look at the robot"
 """The title of every robot's first step."""
 
+PREPARE = "prepare what it lacks"
+"""The title of what follows where bytes are sent: layers come out of this computer's Docker, and are packed."""
+
 
 def execute(
     robots: Sequence[Robot],
@@ -55,6 +58,8 @@ def execute(
         def attempt(link: Link, make: Planner) -> Outcome:
             progress.step_started(link.robot.name, OBSERVE, None)
             facts = observe_one(link, images=images, progress=progress, retry_for=retry_for)
+            if open_feed:
+                progress.step_started(link.robot.name, PREPARE, None)
             made = plans[link.robot.name] = make(link.robot, facts)
             if dry:
                 return Outcome(robot=link.robot.name, status="unchanged")

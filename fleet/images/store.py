@@ -10,6 +10,7 @@ import io
 import json
 import os
 import tarfile
+import tempfile
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -17,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Self
 from fleet.errors import DesktopError, ImageError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Collection, Generator, Iterable, Mapping
     from types import ModuleType
 
     import docker
 
 from fleet.config.image_reference import one_image
-from fleet.images import image
+from fleet.images import image, push
 from fleet.images.chunks import SMALL, Chunks
 from fleet.images.image import Image, same_platform, tagged_for
 
@@ -32,6 +33,13 @@ CHUNK = 1 << 20
 
 PIECE = 128 * 1024
 """Bytes passed on at once, unless the engine gives more. Larger pieces cost the memory allocator more than they save."""
+
+
+_LOCAL = "http+docker://localhost"
+"""How the SDK calls an engine behind a socket of this computer: its loopback is ours, if it is no other's after all."""
+
+_SAVES = 100_000_000
+"""Bytes of an image per second that `docker save` gives out, staging included; a push packs a quarter of that."""
 
 
 class Store:
@@ -51,11 +59,17 @@ class Store:
         self._turns = threading.BoundedSemaphore(8)
         self._names: collections.Counter[str] = collections.Counter()
         self._names_lock = threading.Lock()
+        self._primer = contextlib.ExitStack()
+        self._primed = False
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._primer.close()
+        with self._names_lock:  # a Ctrl-C leaves threads behind, which do not come to their end
+            for name in +self._names:
+                self._forget(name)
         self._client.close()
 
     def find(self, reference: str, platform: str) -> Image:
@@ -103,7 +117,7 @@ class Store:
         identity, layers = attributes["Id"], tuple(attributes["RootFS"].get("Layers") or ())
         settings = attributes.get("Config") or {}
         if self._containerd:
-            config = self._configuration(name, attributes["Id"], wanted)
+            config = self._configuration(name, attributes["Id"], wanted, size=attributes["Size"])
             if config is not None:
                 shown, identity = wanted, f"sha256:{hashlib.sha256(config).hexdigest()}"
                 described = json.loads(config)
@@ -126,8 +140,8 @@ class Store:
             raise DesktopError(f"Docker on this computer does not answer: {problem}") from problem
         return any("io.containerd.snapshotter" in str(pair) for pair in status)
 
-    def _configuration(self, name: str, image_id: str, platform: str) -> bytes | None:
-        """Read it out of the archive of the image, and keep it: the archive may be large.
+    def _configuration(self, name: str, image_id: str, platform: str, *, size: int) -> bytes | None:
+        """Read it out of a push, or else out of the archive of the image, and keep it: the archive may be large.
 
         The file is named by the ID, the platform, and the digest of its content.
         """
@@ -138,7 +152,8 @@ class Store:
                 if path.name == f"{kept.name}.{hashlib.sha256(data).hexdigest()}":
                     return data
         try:
-            config = image.configuration(_small_members(self._saved(name)), platform)
+            config = self._pushed_configuration(name, image_id, platform=platform, size=size)
+            config = config or image.configuration(_small_members(self._saved(name)), platform)
         except tarfile.TarError as problem:
             raise DesktopError(f"what Docker saves of image {name} cannot be read: {problem}") from problem
         if config is not None:
@@ -187,15 +202,120 @@ class Store:
             with self._names_lock:
                 self._names[reference] -= 1
                 if not self._names[reference]:
-                    with contextlib.suppress(
-                        self._errors.DockerException, OSError
-                    ):  # somebody else removed it
-                        self._client.images.remove(reference, noprune=True)
+                    self._forget(reference)
+
+    def _forget(self, reference: str) -> None:
+        with contextlib.suppress(self._errors.DockerException, OSError):  # somebody else removed it
+            self._client.images.remove(reference, noprune=True)
+
+    @contextlib.contextmanager
+    def pushed(self, wanted: Image, layers: Collection[str]) -> Generator[Mapping[str, Path]]:
+        """Files by digest, out of a push: the configuration of an image and its ``layers`` (diff IDs), as Docker packs them.
+
+        Nothing, or a part of it, if a push cannot bring them or would take longer than `export`.
+        """
+        with _scratch() as place:
+            yield self._push(wanted, layers, place) if self._may_push(wanted, layers) else {}
+
+    def _may_push(self, wanted: Image, layers: Collection[str]) -> bool:
+        """Whether pushing ``layers`` is faster than `export`. A containerd store does not pack them for it."""
+        if self._client.api.base_url != _LOCAL:
+            return False
+        if self._containerd or not layers:
+            return True
+        try:
+            history: list[dict[str, int]] = self._client.api.history(wanted.reference)  # type: ignore[no-untyped-call]
+        except (self._errors.DockerException, OSError):
+            return False
+        # Newest first. Which entries of size 0 are layers, only the configuration knows: so this is at least their size.
+        sizes = [entry["Size"] for entry in history if entry["Size"]]
+        above = len(wanted.layers) - min(wanted.layers.index(layer) for layer in layers)
+        return 4 * sum(sizes[:above]) < wanted.size
+
+    def _push(self, wanted: Image, layers: Collection[str], folder: Path) -> dict[str, Path]:
+        # The second time it is known by which digest Docker knows a layer that it thought to be there.
+        lacks, arrived = {wanted.identity}, dict[str, Path]()
+        for _ in range(2):
+            registry = self._push_once(
+                wanted.reference,
+                lacks,
+                folder=folder,
+                size=wanted.size,
+                # A classic store sends the configuration when the layers are through.
+                uploads=len(layers) + 1 if self._containerd else max(1, len(layers)),
+            )
+            arrived |= registry.files
+            found = dict(map(push.blobs_of, registry.manifests))
+            known = dict(zip(wanted.layers, found.get(wanted.identity, ()), strict=False))
+            missing = {known[layer] for layer in layers if layer in known} - arrived.keys()
+            if not missing:
+                break
+            lacks |= missing
+        return arrived
+
+    def _push_once(
+        self, reference: str, lacks: Collection[str], *, folder: Path, size: int, uploads: int
+    ) -> push.Registry:
+        """Push an image of ``size`` bytes, unless Docker begins more ``uploads`` at once, or takes longer than `export` would."""
+        registry = push.Registry(lacks=lacks, folder=folder, most=size + SMALL, refuses=not self._containerd)
+        with contextlib.suppress(self._errors.DockerException, OSError), contextlib.ExitStack() as stack:
+            stack.enter_context(registry)
+            one = self._begin_push(reference, registry, stack)
+            one.wait(while_=lambda: registry.at_once <= uploads, seconds=2 + size / _SAVES)
+        return registry
+
+    def _pushed_configuration(self, name: str, image_id: str, *, platform: str, size: int) -> bytes | None:
+        """The configuration of an image in a containerd store, for a platform: the manifests name it, and a second push brings it."""
+        if self._client.api.base_url != _LOCAL:
+            return None
+        with _scratch() as folder:
+            manifests = self._push_once(name, (), folder=folder, size=size, uploads=0).manifests
+            if image_id not in {f"sha256:{hashlib.sha256(data).hexdigest()}" for data in manifests}:
+                return None
+            configs = {push.blobs_of(data)[0] for data in manifests} - {""}
+            files = self._push_once(name, configs, folder=folder, size=SMALL, uploads=len(configs)).files
+            small = {f"blobs/sha256/{path.name}": path.read_bytes() for path in files.values()}
+            listing = json.dumps([{"Config": path} for path in small]).encode()
+            return image.configuration({**small, "manifest.json": listing}, platform)
+
+    def prime(self, wanted: Image) -> None:
+        """Let Docker push an image into nothing until the store is closed: what it has pushed once, it can leave out later.
+
+        One image at a time is enough. A containerd store knows what it has anyway.
+        """
+        if self._primed or self._client.api.base_url != _LOCAL or self._containerd:
+            return
+        self._primed = True
+        with contextlib.suppress(self._errors.DockerException, OSError):
+            registry = self._primer.enter_context(push.Registry(lacks=(), folder=None, most=0))
+            self._primer.callback(self._begin_push(wanted.reference, registry, self._primer).stop)
+
+    def _begin_push(self, local: str, registry: push.Registry, stack: contextlib.ExitStack) -> push.Push:
+        """Begin to push an image under a name that it has until the stack is closed."""
+        tag = push.own_tag()
+        stack.enter_context(self._named(local, f"{registry.repository}:{tag}"))
+
+        def upload(repository: str, tag: str) -> Iterable[Mapping[str, Any]]:
+            events: Iterable[Mapping[str, Any]] = self._client.api.push(
+                repository, tag=tag, stream=True, decode=True, auth_config={}
+            )
+            return events
+
+        return push.Push(upload, registry=registry, tag=tag)
 
 
 def folder() -> Path:
     """Where configurations are kept; the variable ``XDG_CACHE_HOME`` changes it. It may be removed at any time."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "configurations"
+
+
+@contextlib.contextmanager
+def _scratch() -> Generator[Path]:
+    """A folder for what is pushed. It is not in the system's temporary folder, which may be in memory."""
+    above = folder().parent
+    above.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".push-", dir=above) as name:
+        yield Path(name)
 
 
 def _small_members(chunks: Iterable[bytes]) -> dict[str, bytes]:

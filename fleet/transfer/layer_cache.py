@@ -25,12 +25,14 @@ from fleet.transfer import codec
 from fleet.transfer.codec import ENCODINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator
+    from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+    from contextlib import AbstractContextManager
 
     from fleet.images.image import Image
     from fleet.transfer.codec import Encoding
 
     Export = Callable[[Image], Iterable[bytes]]
+    Pushed = Callable[[Image, Collection[str]], AbstractContextManager[Mapping[str, Path]]]
 
 MOST = 20_000_000_000
 """Bytes that the cache may hold when a run ends."""
@@ -43,12 +45,30 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "layers"
 
 
-class LayerCache:
-    """The packed layers. ``export`` yields the chunks of an image's archive as ``docker save`` writes it."""
+@contextlib.contextmanager
+def _nothing(_image: Image, _layers: Collection[str]) -> Generator[Mapping[str, Path]]:
+    yield {}
 
-    def __init__(self, *, directory: Path, export: Export) -> None:
+
+class LayerCache:
+    """The packed layers.
+
+    ``export`` yields the chunks of an image's archive as ``docker save`` writes it. ``pushed`` has the configuration and
+    some layers as files, or not, and is tried before. ``exported`` is called with an image that had to be exported.
+    """
+
+    def __init__(
+        self,
+        *,
+        directory: Path,
+        export: Export,
+        pushed: Pushed = _nothing,
+        exported: Callable[[Image], object] = lambda _: None,
+    ) -> None:
         self._directory = directory
         self._export = export
+        self._pushed = pushed
+        self._exported = exported
         self._lock = threading.Lock()  # an image is exported once, although many robots need it
         self._names: dict[str, str] = {}
         self._sound: set[str] = set()  # digests of files whose bytes this run has read or written
@@ -162,11 +182,30 @@ class LayerCache:
         return None
 
     def _unpack(self, image: Image, missing: set[str], encoding: Encoding | None) -> None:
-        """Read the archive of an image once: keep the configuration, and pack the layers that are missing."""
+        """Keep the configuration of an image, and pack the layers that are missing: from a push, else from the archive."""
         self._directory.mkdir(parents=True, exist_ok=True)
-        small: dict[str, bytes] = {}
         with contextlib.suppress(OSError, ValueError):
             self._names |= json.loads(self.noted("names"))
+        if not self._from_push(image, missing, encoding):
+            self._from_archive(image, missing, encoding)
+            self._exported(image)
+        self.note("names", json.dumps(self._names))
+
+    def _from_push(self, image: Image, missing: set[str], encoding: Encoding | None) -> bool:
+        """Whether a push has brought everything. Its bytes count by their digests, as those of an archive do."""
+        small: dict[str, bytes] = {}
+        with self._pushed(image, missing) as files:
+            for digest, path in files.items():
+                if path.stat().st_size <= SMALL:
+                    small[digest] = path.read_bytes()
+                if encoding and digest != image.identity:
+                    with path.open("rb") as content, contextlib.suppress(*codec.DAMAGED):
+                        self._layer(f"blobs/sha256/{path.name}", content, missing, encoding)
+        packed = encoding is None or all(self._known(diff_id, encoding) for diff_id in missing)
+        return self._keep_config(image, small) and packed
+
+    def _from_archive(self, image: Image, missing: set[str], encoding: Encoding | None) -> None:
+        small: dict[str, bytes] = {}
         stream = io.BufferedReader(Chunks(self._export(image)), _CHUNK)
         with tarfile.open(fileobj=stream, mode="r|", bufsize=_CHUNK) as archive:
             for member in archive:
@@ -179,18 +218,19 @@ class LayerCache:
                 if encoding:
                     self._layer(member.name, content, missing, encoding)
             stream.read()  # to the end, so that Docker can report an error
-        self._keep_config(image, small)
-        self.note("names", json.dumps(self._names))
+        if not self._keep_config(image, small):
+            raise DesktopError(
+                f"{image.reference} is another image than a moment ago", cure="run the same command again"
+            )
 
-    def _keep_config(self, image: Image, small: dict[str, bytes]) -> None:
+    def _keep_config(self, image: Image, small: Mapping[str, bytes]) -> bool:
+        """Keep the configuration; False if it is not among the small files."""
         hex_digest = image.identity.removeprefix("sha256:")
         for data in small.values():
             if hashlib.sha256(data).hexdigest() == hex_digest:
                 self.note(f"{hex_digest}.config", data.decode())
-                return
-        raise DesktopError(
-            f"{image.reference} is another image than a moment ago", cure="run the same command again"
-        )
+                return True
+        return False
 
     def _layer(self, name: str, content: IO[bytes], missing: set[str], encoding: Encoding) -> None:
         """Pack a member of the archive, and keep it if it is a missing layer.

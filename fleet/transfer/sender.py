@@ -61,7 +61,9 @@ class Sender:
     def using(cls, store: Store, *, limiter: RateLimiter, by: str) -> Generator[Self]:
         """A sender of this computer's images, whose cache is reduced to its maximum size at the end."""
         directory = folder()
-        cache = LayerCache(directory=directory, export=store.export)
+        cache = LayerCache(
+            directory=directory, export=store.export, pushed=store.pushed, exported=store.prime
+        )
         rates = directory.parent / "rates.json"
         try:
             yield cls(cache=cache, limiter=limiter, by=by, rates=rates, archive=store.archive)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import gzip
 import hashlib
 import io
 import json
@@ -15,7 +16,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from fleet.errors import DesktopError, ImageError
+from fleet.images import store as stores
 from fleet.images.store import CHUNK, Store, _small_members
+from tests.support.handmade import Handmade, layer
+from tests.support.lab_project import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -248,3 +252,47 @@ def test_the_engine_is_the_one_of_the_docker_command_line(
     subprocess.run(("docker", "context", "use", "away"), check=True, capture_output=True)
     with failed_connection(), pytest.raises(DesktopError, match="does not answer"):
         Store()
+
+
+def test_a_changed_layer_is_pushed_without_the_others(shelf: Shelf, store: Store) -> None:
+    """Once Docker has pushed those below; nothing of it stays behind in Docker."""
+    base = layer(uuid.uuid4().int, size=900_000)
+    versions = [
+        Handmade(layers=(base, layer(number)), reference=f"{shelf.name}:{number}") for number in (1, 2)
+    ]
+    for one in versions:
+        subprocess.run(
+            ("docker", "load", "--quiet"), input=one.saved("20.10"), check=True, capture_output=True
+        )
+    first, second = (store.find(one.reference, "linux/amd64") for one in versions)
+    with store.pushed(first, first.layers) as files:
+        assert files == {}  # all of it: the archive is faster
+    store.prime(first)
+
+    def brought() -> dict[str, bytes]:
+        with store.pushed(second, second.layers[1:]) as files:
+            return {digest: path.read_bytes() for digest, path in files.items()}
+
+    found = eventually(lambda: len(found := brought()) == 2 and found)
+    assert found
+    assert found.pop(second.identity) == versions[1].config
+    ((_, packed),) = found.items()
+    assert gzip.decompress(packed) == versions[1].layers[1]
+    store.__exit__()
+    assert [store_names(one.identity) for one in (first, second)] == [{first.reference}, {second.reference}]
+
+
+def store_names(identity: str) -> set[str]:
+    """All names and digests by which Docker knows an image."""
+    form = "{{range .RepoTags}}{{println .}}{{end}}{{range .RepoDigests}}{{println .}}{{end}}"
+    argv = ("docker", "image", "inspect", "--format", form, identity)
+    return set(subprocess.run(argv, check=True, capture_output=True, text=True).stdout.split())
+
+
+def test_an_engine_elsewhere_is_not_asked_to_push(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its loopback is not ours."""
+    monkeypatch.setattr(stores, "_LOCAL", "another")
+    image = Handmade(layers=(layer(1), layer(2))).image
+    with store.pushed(image, image.layers[1:]) as files:
+        assert files == {}
+    store.prime(image)

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,7 +16,6 @@ from fleet.starter.project import DISTROS, Draft, Request, check, draft, robots
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 PIS = Request(robots={"pi1": "192.168.1.11"})
 NAV = Package(
@@ -205,3 +207,13 @@ def test_a_dockerfile_that_is_there_says_what_runs() -> None:
         text = made(*packages, there=["Dockerfile"]).files["compose.yaml"]
         assert "command:" not in text
         assert "args:" not in text
+
+
+@pytest.mark.parametrize("packages", [(), (NAV,), (WHEEL,), (NAV, EITHER)])
+def test_the_dockerfile_is_what_a_linter_expects(packages: tuple[Package, ...], tmp_path: Path) -> None:
+    """With its own rules, as people run it in their project."""
+    path = tmp_path / "Dockerfile"
+    path.write_text(made(*packages).files["Dockerfile"])
+    program = Path(sys.executable).with_name("hadolint")
+    done = subprocess.run((program, path), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+import gzip
 import json
 import os
 import threading
@@ -15,7 +17,7 @@ from fleet.transfer.layer_cache import LayerCache
 from tests.support.handmade import FORMS, MEDIA_TYPES, Engine, Form, Handmade, digest, layer, packed, tar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Mapping
     from pathlib import Path
 
     from fleet.images.image import Image
@@ -318,3 +320,59 @@ def test_where_the_cache_is(
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", variable and str(tmp_path / variable))
     assert layer_cache.folder() == tmp_path / where / "fleet/layers"
+
+
+class Pushing(Desk):
+    """An engine that pushes, too; ``pushes`` are the files that arrive, by name."""
+
+    def __init__(self, folder: Path, *images: Handmade, pushes: Mapping[str, bytes]) -> None:
+        super().__init__(folder, *images)
+        self._pushes = pushes
+        self.exported: list[Image] = []
+        self.cache = LayerCache(
+            directory=self.folder, export=self._export, pushed=self._pushed, exported=self.exported.append
+        )
+        folder.mkdir(exist_ok=True)
+
+    @contextlib.contextmanager
+    def _pushed(self, _image: Image, _layers: Collection[str]) -> Iterator[dict[str, Path]]:
+        files = {}
+        for name, data in self._pushes.items():
+            files[name] = self.folder.parent / name.removeprefix("sha256:")
+            files[name].write_bytes(data)
+        yield files
+
+
+CONFIGURATION = {digest(TALKER.config): TALKER.config}
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_a_pushed_layer_needs_no_archive(tmp_path: Path, plain: bool) -> None:
+    """A classic store packs it with gzip; a containerd store pushes it as it is there. The bytes that are sent are the same."""
+    content = CODE if plain else gzip.compress(CODE)
+    desk = Pushing(tmp_path, TALKER, pushes={**CONFIGURATION, digest(content): content})
+    assert desk.cache.pack(TALKER.image, [digest(CODE)], "zstd") == {digest(CODE): packed(CODE, "zstd")[0]}
+    assert (desk.cache.config(TALKER.image), desk.exports, desk.exported) == (TALKER.config, 0, [])
+
+
+@pytest.mark.parametrize(
+    "pushes",
+    [
+        {},
+        CONFIGURATION,
+        {digest(CODE): CODE},
+        {**CONFIGURATION, digest(BASE): gzip.compress(BASE)},
+        {**CONFIGURATION, digest(CODE): b"\x1f\x8b damaged"},
+    ],
+)
+def test_a_push_that_did_not_bring_everything_is_made_up_for(
+    tmp_path: Path, pushes: dict[str, bytes]
+) -> None:
+    """By the archive; and the engine may then prepare for the next time."""
+    desk = Pushing(tmp_path, TALKER, pushes=pushes)
+    assert desk.cache.pack(TALKER.image, [digest(CODE)], "zstd") == {digest(CODE): packed(CODE, "zstd")[0]}
+    assert (desk.cache.config(TALKER.image), desk.exports, desk.exported) == (
+        TALKER.config,
+        1,
+        [TALKER.image],
+    )
