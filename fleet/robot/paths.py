@@ -12,6 +12,7 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
       proved                the containers whose health check has passed in a swap
     receipts/               the manifests of the images that were sent, for a containerd store
     spool/                  uploads that were interrupted; empty otherwise
+    stick/                  the work of `sh install` on a USB stick; empty otherwise
     runs/                   what goes on without a desktop: its script, for a power cut, and its output
     history                 what was done to the robot as a whole: `fab provision`
     lock, holder            held while containers are swapped or old releases removed; by whom

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 from fleet.config.compose import HOME
 from fleet.config.project_files import File, ProjectFiles, on_robot
-from fleet.config.stack import is_cdi_name, literal
+from fleet.config.stack import Service, is_cdi_name, literal
 from fleet.robot import paths
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from fleet.config.compose import Project
-    from fleet.config.stack import Service, Stack
+    from fleet.config.stack import Restart, Stack
     from fleet.images.image import Image
 
 _ID = "id-of-the-release"
@@ -122,6 +122,66 @@ def compose(
         folders=files.folders,
         empty=files.empty,
     )
+
+
+def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Image, ...]) -> Release:
+    """The release ``name`` that was packed with `Release.archive` for the home `fleet.config.compose.HOME`.
+
+    Raises:
+        ValueError, KeyError, tarfile.TarError: it is not the archive of a release.
+
+    """
+    files, folders = _members(data)
+    text = files["compose.yaml"].data.decode()
+    policies = (line.partition("=") for line in files["services"].data.decode().splitlines())
+    model = json.loads(text)["services"]
+    services = {
+        service: Service(name=service, image=model[service]["image"], restart=_policy(policy))
+        for service, _, policy in policies
+    }
+    above = set(_folders(files))
+    return Release(
+        id=name,
+        stack=stack,
+        robot=robot,
+        services=services,
+        images=images,
+        compose=text,
+        project=_below("project/", files),
+        seeds=_below("seeds/", files),
+        folders=tuple(files["data-folders"].data.decode().splitlines()),
+        empty=tuple(name.removeprefix("project/") for name in folders if name not in above),
+    )
+
+
+def _members(data: bytes) -> tuple[dict[str, File], list[str]]:
+    """The files of an archive, and its folders."""
+    files: dict[str, File] = {}
+    folders: list[str] = []
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        for member in archive:
+            if ".." in PurePosixPath(member.name).parts or member.name.startswith("/"):
+                raise ValueError(member.name)
+            content = archive.extractfile(member) if member.isfile() else None
+            if content:
+                files[member.name] = File(data=content.read(), mode=member.mode)
+            elif member.issym():
+                files[member.name] = File(link=member.linkname, mode=member.mode)
+            else:
+                folders.append(member.name)
+    return files, folders
+
+
+def _below(folder: str, files: Mapping[str, File]) -> dict[str, File]:
+    return {name.removeprefix(folder): file for name, file in files.items() if name.startswith(folder)}
+
+
+def _policy(word: str) -> Restart:
+    match word:
+        case "no" | "on-failure" | "always":
+            return word
+        case _:
+            raise ValueError(word)
 
 
 def _digest(
