@@ -99,6 +99,7 @@ class Stacks:
             files=self._files[key],
             images=images,
             values=one.environment,
+            boot=robot.boot,
         )
 
     def releases(

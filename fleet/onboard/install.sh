@@ -340,6 +340,9 @@ END
         mkdir -p "$work/release"
         tar -x -p -f "$stick/releases/$file" -C "$work/release" || fail "releases/$file cannot be read from the stick" "$pulled"
         sed -i "s|/home-of-the-robots-login|$HOME|g" "$work/release/compose.yaml" || exit 1
+        [ ! -e "$work/release/boot" ] || systemctl is-enabled fleet-boot >/dev/null 2>&1 ||
+            fail 'systemd shall start this release at power-on, and fleet-boot.service is not installed' \
+                'connect the robot once and run `fab provision`; or set `boot: docker`, and make the bundle again'
         tar -c -f - -C "$work/release" . | sh -c "$unpack_release" unpack_release "$here/releases/$release" ||
             fail "release $release could not be written to ~/$here" 'see whether the disk is full: `df -h`; nothing was changed'
         problem=$(env -C "$here/releases/$release" -u COMPOSE_FILE -u COMPOSE_PROFILES -u COMPOSE_PROJECT_NAME \
