@@ -52,7 +52,7 @@ if [ ! -e "$started" ] && any; then
         owned "$here" || continue
         echo "start $(readlink "$here/current") of ${here##*/}"
         (
-            cd "$here/current" && unset COMPOSE_FILE COMPOSE_PROFILES &&
+            cd -P "$here/current" && unset COMPOSE_FILE COMPOSE_PROFILES &&
                 exec timeout -k 10 600 docker compose --project-name "${here##*/}" --file compose.yaml up --detach --no-build --pull never 9>&-
         ) || echo "it did not start"
     done

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from tests.lab.conftest import Pi
 
-TIMES = int(os.environ.get("FLEET_FAULTS", "3"))
+TIMES = int(os.environ.get("FLEET_FAULTS", "2"))
 SEED = int(os.environ.get("FLEET_SEED", "28"))
 
 
