@@ -72,18 +72,19 @@ END
     signed='not signed'
     for signature in "$stick"/signed-*.sig; do
         [ -e "$signature" ] || continue
+        signers=$(mktemp) || exit 1
         if ! command -v ssh-keygen >/dev/null; then
             signed='its signature cannot be checked: ssh-keygen is missing'
         elif grep -oE '(ssh-(ed25519|rsa)|ecdsa-sha2-nistp[0-9]+|sk-[a-z0-9-]+@openssh.com) [A-Za-z0-9+/=]+' \
-            .ssh/authorized_keys 2>/dev/null | sed 's/^/fleet /' >"${TMPDIR:-/tmp}/fleet-signers.$$"; then
-            if ssh-keygen -Y verify -f "${TMPDIR:-/tmp}/fleet-signers.$$" -I fleet -n fleet-bundle -s "$signature" \
+            .ssh/authorized_keys 2>/dev/null | sed 's/^/fleet /' >"$signers"; then
+            if ssh-keygen -Y verify -f "$signers" -I fleet -n fleet-bundle -s "$signature" \
                 <"$stick/SHA256SUMS" >/dev/null 2>&1; then
                 signed='signed with a key that may log in here'
             else
                 signed=bad
             fi
-            rm -f "${TMPDIR:-/tmp}/fleet-signers.$$"
         fi
+        rm -f "$signers"
         [ "$signed" != bad ] || fail 'the signature of this bundle is not by a key that may log in to this robot' \
             'sign with a key of ~/.ssh/authorized_keys here, or make the bundle without --sign'
     done
@@ -129,6 +130,8 @@ END
     [ "$user" = - ] || [ "$user" = "$(id -un)" ] ||
         fail "fab logs in to $robot as $user, and this is $(id -un): its releases are in the home of $user" \
             "log in as $user and run \`sh install\` without sudo"
+    [ "$(id -u)" != 0 ] || [ -z "${SUDO_USER-}" ] || [ "$user" = root ] ||
+        fail "with sudo the releases would be in root's home" "run \`sh install\` as the user that fab logs in as, without sudo"
     emulated() { grep -qs '^enabled' "/proc/sys/fs/binfmt_misc/qemu-$1"; }
     case "$platform $(dpkg --print-architecture 2>/dev/null || uname -m)" in
         'linux/arm64 arm64' | 'linux/arm64 aarch64' | 'linux/arm/v7 armhf' | 'linux/arm/v7 armv7l') ;;
