@@ -6,6 +6,7 @@ import sys
 
 from fleet.cli import (
     build,
+    bundle,
     completions,
     console,
     deploy,
@@ -54,7 +55,9 @@ def completion(shell: str = "", install: bool = False, names: str = "", inventor
 
 
 ns = verb.collection(
-    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS
+    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS, *bundle.VERBS),
+    default=help_,
+    lab=lab.VERBS,
 )
 
 

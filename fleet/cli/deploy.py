@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import secrets
 import time
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from fleet.cli import whose
-from fleet.cli.beside import beside
+from fleet.cli import wanted, whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
-from fleet.cli.stacks import Stacks, stacks_there, warnings_of
+from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
-from fleet.images.store import Store
 from fleet.plan import containers, readiness
 from fleet.plan import prune as prune_old
 from fleet.plan import ship as shipping
@@ -32,12 +29,11 @@ from fleet.transfer.sender import Sender
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from fleet.cli.stacks import RobotStack
+    from fleet.cli.wanted import Wanted
     from fleet.config.inventory import Robot
     from fleet.plan.compose_steps import Conflict
     from fleet.plan.step import Plan
     from fleet.robot.facts import Facts
-    from fleet.robot.release import Release
     from fleet.transfer.delivery import Strategy
 
 
@@ -93,6 +89,7 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
         "wait": "seconds that containers may take to become healthy; default: 180 plus the longest start_period",
         "prefer": "whose version of a file wins that robot and desktop have both changed: robot or desktop",
         "renamed": "the robots were renamed in the inventory: go on though they were shipped under another name",
+        "from": "ship what a bundle holds, a folder or a tar archive of `fab bundle`, and build nothing here",
     }
 )
 def ship(
@@ -103,6 +100,7 @@ def ship(
     wait: int = 0,
     prefer: str = "robot",
     renamed: bool = False,
+    from_: str = "",
     dry: bool = False,
     json: bool = False,
     inventory: str = "",
@@ -120,14 +118,10 @@ def ship(
         run=secrets.token_hex(8), wait=wait, conflict=_conflict(prefer), keep=keep, renamed=renamed
     )
     limiter = RateLimiter(bytes_per_second(limit))
-    with contextlib.ExitStack() as opened:
-        store_opened = opened.enter_context(beside(Store))
-        stacks = opened.enter_context(Stacks())
-        found = stacks.of(robots, only=stack)
-        screen.warnings(warnings_of(found))
-        store = opened.enter_context(store_opened())
-        sender = opened.enter_context(Sender.using(store, limiter=limiter, by=whoami()))
-        releases = {robot.name: stacks.releases(robot, found[robot.name], store) for robot in robots}
+    with (
+        wanted.opened(robots, out_of=from_, only=stack, screen=screen) as (source, releases),
+        Sender.using(source, limiter=limiter, by=whoami()) as sender,
+    ):
         planner = _Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]
         go = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
@@ -255,14 +249,13 @@ class _Options:
     keep: int
     renamed: bool
 
-    def request(self, one: RobotStack) -> Request:
+    def request(self, one: Wanted) -> Request:
         """How long a stack may take, and who asks."""
-        usual = one.spec.wait or shipping.HEALTHY_WITHIN + round(one.stack.start_period)
         return Request(
             by=whoami(),
             run=self.run,
-            wait=self.wait or usual,
-            settle=one.spec.settle,
+            wait=self.wait or one.wait,
+            settle=one.settle,
             conflict=self.conflict,
         )
 
@@ -270,9 +263,7 @@ class _Options:
 class _Planner:
     """Plans the releases of one `fab ship` for each robot; called from many threads."""
 
-    def __init__(
-        self, releases: Mapping[str, Sequence[tuple[RobotStack, Release]]], sender: Sender, options: _Options
-    ) -> None:
+    def __init__(self, releases: Mapping[str, Sequence[Wanted]], sender: Sender, options: _Options) -> None:
         self._releases = releases
         self._sender = sender
         self._options = options
@@ -283,19 +274,20 @@ class _Planner:
         readiness.ready(facts, robot=robot)
         self._machines.claim(robot, facts, renamed=self._options.renamed)
         plans = []
-        for one, release in self._releases[robot.name]:
-            whose.same_stack(one, facts, robot=robot)
-            missing = shipping.missing(release, facts)
+        for one in self._releases[robot.name]:
+            if one.project:
+                whose.same_stack(one.project, facts, robot=robot)
+            missing = shipping.missing(one.release, facts)
             plan = shipping.plan(
                 robot=robot,
-                release=release,
+                release=one.release,
                 facts=facts,
                 delivery=self._sender.deliver(missing, robot=robot, facts=facts, strategy=strategy),
                 request=self._options.request(one),
                 keep=self._options.keep,
             )
             plans.append(plan)
-        return _named(plans, [one.stack.name for one, _ in self._releases[robot.name]])
+        return _named(plans, [one.release.stack for one in self._releases[robot.name]])
 
 
 VERBS = (trust, provision, ship, rollback, prune, start, stop, restart, remove)

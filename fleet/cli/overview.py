@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 PURPOSES: Mapping[str, Sequence[str]] = {
     "Set up": ("init", "inventory", "trust", "provision", "completion"),
-    "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove"),
+    "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove", "bundle"),
     "Look": ("status", "history", "logs", "topics", "listen", "run", "shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),
 }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 from fleet.config import compose, docker_rules, project_files, stack
 from fleet.config.project_files import File, ProjectFiles
 from fleet.errors import InventoryError, NotReady, UsageError
+from fleet.plan.ship import HEALTHY_WITHIN
 from fleet.robot import release
 from fleet.ros import environment as ros
 from fleet.ros import silent_stack, unused_settings
@@ -43,6 +44,11 @@ class RobotStack:
     stack: Stack
     environment: Mapping[str, str]
     warnings: tuple[str, ...]
+
+    @property
+    def wait(self) -> int:
+        """Seconds in which its containers must become healthy."""
+        return self.spec.wait or HEALTHY_WITHIN + round(self.stack.start_period)
 
 
 class Stacks:
@@ -93,6 +99,7 @@ class Stacks:
             files=self._files[key],
             images=images,
             values=one.environment,
+            boot=robot.boot,
         )
 
     def releases(

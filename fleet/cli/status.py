@@ -37,7 +37,7 @@ def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
     )
     stacks = [
         (
-            (stack, ""),
+            (f"{stack} (systemd)" if there.boot == "systemd" else stack, ""),
             (there.current or "none", "" if there.current else "dim"),
             _containers(there, seen.host.clock),
             _data(there),

@@ -35,3 +35,11 @@ def tag(reference: str) -> str:
 def one_image(reference: str) -> str:
     """The reference with its tag or digest: ``talker`` alone means all tags of it to ``docker save``."""
     return reference if "@" in reference else f"{repository(reference)}:{tag(reference)}"
+
+
+def full_name(reference: str) -> str:
+    """The reference with the registry that a short name implies: ``talker`` is ``docker.io/library/talker``."""
+    host, slash, _ = reference.partition("/")
+    if slash and ("." in host or ":" in host or host == "localhost"):
+        return reference
+    return f"docker.io/{reference}" if slash else f"docker.io/library/{reference}"

@@ -183,6 +183,7 @@ class Values(Frozen):
     ros: Ros | None = Field(default=None, description="ROS settings.")
     docker: Docker | None = Field(default=None, description="How Docker gets onto the robot.")
     hardware: Hardware | None = Field(default=None, description="What is built in or plugged in.")
+    boot: validation.Boot = Field(default="docker", description="Who starts the stacks at power-on.")
     environment: Annotated[Environment, _CLOSED] | None = Field(
         default=None, description="Variables for the stack: `${NAME}` in its Compose file."
     )
@@ -258,8 +259,7 @@ class StackFiles(Frozen):
 class Robot(Frozen):
     """One robot with its merged values. ``files``: name below files/ on the robot -> absolute file here.
 
-    ``user``, ``port`` and ``identity_file`` are None where OpenSSH's configuration decides. ``peers`` are the addresses of
-    the other robots that ``ros.peers`` names.
+    ``user``, ``port`` and ``identity_file``: None where OpenSSH decides. ``peers``: addresses of those in ``ros.peers``.
     """
 
     name: str
@@ -268,6 +268,7 @@ class Robot(Frozen):
     port: int | None = None
     identity_file: Path | None = None
     platform: Platform = "linux/arm64"
+    boot: validation.Boot = "docker"
     ros: Ros = Field(default_factory=Ros)
     docker: Docker = Field(default_factory=Docker)
     hardware: Hardware = Field(default_factory=Hardware)

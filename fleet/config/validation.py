@@ -7,7 +7,7 @@ else that validation can find. No file is read here.
 from __future__ import annotations
 
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fleet.config.selection import did_you_mean
 from fleet.platforms import NAMES as PLATFORMS
@@ -15,6 +15,9 @@ from fleet.platforms import PLATFORM_OF_MACHINE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+Boot = Literal["docker", "systemd"]
+"""Who starts a robot's stacks at power-on."""
 
 
 def _whole(pattern: str) -> str:

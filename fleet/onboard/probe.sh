@@ -145,6 +145,13 @@ if command -v systemctl >/dev/null; then
 else
     echo 'no systemd'
 fi
+section 'boot unit'
+if command -v systemctl >/dev/null; then
+    systemctl is-enabled fleet-boot 2>/dev/null
+    cat /etc/systemd/system/fleet-boot.service "$HOME/.fleet/boot.sh" 2>/dev/null | sha256sum | cut -c1-64
+else
+    echo 'no systemd'
+fi
 section daemon
 cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
 section packages
@@ -169,7 +176,9 @@ for here in "$HOME"/.fleet/stacks/*/; do
         printf 'checksum '
         find . -type f -print | LC_ALL=C sort | tr '\n' '\0' | xargs -0 -r sha256sum | sha256sum | cut -c1-64
         sed 's/^/service /' services 2>/dev/null
+        sed 's/^/boot /' boot 2>/dev/null
     )
+    [ ! -e "$here/stopped" ] || echo stopped
     for release in "$here"/releases/*/; do
         [ ! -d "$release" ] || { release=${release%/} && printf 'release %s\n' "${release##*/}"; }
     done

@@ -14,7 +14,7 @@ containers=$(docker ps --all --quiet --filter "label=com.docker.compose.project=
 networks=$(docker network ls --quiet --filter "label=com.docker.compose.project=$stack")
 # shellcheck disable=SC2086  # one word per network
 [ -z "$networks" ] || docker network rm $networks >/dev/null
-rm -f current journal proved policies
+rm -f current journal proved policies stopped
 rm -rf releases
 printf '%s\tremove\t-\t%s\tdone\n' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" >>history
 sync

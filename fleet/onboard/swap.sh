@@ -321,6 +321,7 @@ run() { # RELEASE
 # --- The swap
 
 if [ "$verb" = stop ]; then
+    : >"$here/stopped" # boot.sh leaves it alone
     compose "$release" stop || exit 1
     restore_policies
     note_history "$release" 'done'
@@ -328,6 +329,7 @@ if [ "$verb" = stop ]; then
 fi
 
 journal begin
+rm -f "$here/stopped"
 rm -f "$here/releases/.shipping-$release" # from here on the journal says that it is needed
 clear_half_made
 why=

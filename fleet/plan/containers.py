@@ -29,7 +29,8 @@ def plan(verb: Verb, *, robot: Robot, stack: str, facts: Facts, request: Request
     release = there.current
     if verb == "start" and there.running and not there.journal:
         return Plan(robot=robot.name, summary=f"release {release} runs")
-    if verb == "stop" and not any(one.state in ("running", "restarting") for one in there.containers):
+    runs = any(one.state in ("running", "restarting") for one in there.containers)
+    if verb == "stop" and not runs and (there.stopped or there.boot == "docker"):
         return Plan(robot=robot.name, summary=f"release {release} is stopped")
     return Plan(
         robot=robot.name,

@@ -52,6 +52,7 @@ def plan(
 
     """
     ready(facts, robot=robot)
+    _check_boot(release, facts, robot=robot)
     there = facts.fleet.stacks.get(release.stack, StackFacts())
     if not delivery.steps and _runs(release, there, facts=facts, request=request):
         return Plan(robot=robot.name, summary=f"runs release {release.id}")
@@ -74,6 +75,20 @@ def plan(
         forecast=delivery.forecast,
         transfer=delivery.transfer,
     )
+
+
+def _check_boot(release: Release, facts: Facts, *, robot: Robot) -> None:
+    """Refuse a release that nobody would start at power-on."""
+    match release.boot, facts.docker.boot_unit:
+        case "systemd", "no systemd":
+            raise NotReady(
+                "it has no systemd to start the stack", cure=f"set `boot: docker` for {robot.name}"
+            )
+        case "systemd", "":
+            what = "systemd shall start the stack, and fleet-boot.service is not installed there"
+            raise NotReady(what, cure=f"`fab provision --hosts {robot.name}`")
+        case _:
+            return
 
 
 def _runs(release: Release, there: StackFacts, *, facts: Facts, request: Request) -> bool:

@@ -37,13 +37,16 @@ _CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
 _AGAIN = "run the same command again"
 
 SCRIPT = f"{HOME}/get-docker.sh"
+BOOT = f"{HOME}/boot.sh"
 PROOF_IMAGE = "fleet-proof"
 
 _SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
+_WRITE = 'mkdir -p "$(dirname "$1")" && cat > "$1.new" && mv "$1.new" "$1"'
 _GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
 _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
 _IS_INSTALLED = "command -v docker || { echo 'the script ended without an error, and did not install Docker' >&2; exit 1; }"
 _FINISH = "cat > /etc/systemd/system/fleet-finish.service && systemctl daemon-reload && systemctl enable --quiet fleet-finish"
+_BOOT = "cat > /etc/systemd/system/fleet-boot.service && systemctl daemon-reload && systemctl enable --quiet fleet-boot && systemctl restart fleet-boot"
 _REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
 
@@ -102,6 +105,7 @@ def _changes(robot: Robot, facts: Facts, *, install: tuple[Step, ...], now: floa
         *_boot(facts),
         *jetson.reload(facts),
         *_finish(facts),
+        *_boot_unit(robot, facts),
     )
 
 
@@ -285,6 +289,36 @@ def _finish(facts: Facts) -> tuple[Step, ...]:
             title="let the robot finish a swap after a power cut (fleet-finish.service)",
             argv=as_root(facts, "sh", "-c", _FINISH),
             feed=Bytes(label="fleet-finish.service", data=unit),
+            limit=60.0,
+        ),
+    )
+
+
+def boot_unit(login: str) -> tuple[bytes, bytes]:
+    """The unit that starts stacks which systemd owns, and the script that it runs."""
+    return onboard.source("boot.service").replace("LOGIN", login).encode(), onboard.source("boot.sh").encode()
+
+
+def _boot_unit(robot: Robot, facts: Facts) -> tuple[Step, ...]:
+    """Install it if the inventory says so. It is never removed: it leaves stacks alone that are Docker's."""
+    if robot.boot != "systemd":
+        return ()
+    if facts.docker.boot_unit == "no systemd":
+        raise NotReady("it has no systemd to start the stacks", cure=f"set `boot: docker` for {robot.name}")
+    unit, script = boot_unit(facts.login.name)
+    if facts.docker.boot_unit == hashlib.sha256(unit + script).hexdigest():
+        return ()
+    return (
+        Step(
+            title="write what systemd runs at power-on (~/.fleet/boot.sh)",
+            argv=("sh", "-c", _WRITE, "sh", BOOT),
+            feed=Bytes(label="boot.sh", data=script),
+            limit=20.0,
+        ),
+        Step(
+            title="let systemd start the stacks at power-on (fleet-boot.service)",
+            argv=as_root(facts, "sh", "-c", _BOOT),
+            feed=Bytes(label="fleet-boot.service", data=unit),
             limit=60.0,
         ),
     )

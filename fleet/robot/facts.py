@@ -129,7 +129,8 @@ class Docker:
     ``docker``, None without such a group. ``daemon_config`` is the text of ``/etc/docker/daemon.json``. ``finish_unit`` is the SHA-256
     of the enabled unit that finishes swaps at boot, "" if there is none, "no systemd" if there cannot be one. ``runtimes``
     are those that containers may ask for, ``default_runtime`` the one of others. ``cdi``: it gives containers devices by
-    their CDI names, as far as the robot has any.
+    their CDI names, as far as the robot has any. ``boot_unit`` is the same as
+    ``finish_unit``, of the unit that starts stacks which systemd owns, and of its script.
     """
 
     state: EngineState = "absent"
@@ -147,6 +148,7 @@ class Docker:
     runtimes: tuple[str, ...] = ()
     default_runtime: str = ""
     cdi: bool = False
+    boot_unit: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +170,8 @@ class StackFacts:
 
     ``checksum`` is that of the current release's files, ``services`` those that it must run. ``history`` holds its last
     lines, oldest first. ``data`` is the size in bytes of what its containers have written, None if that was not counted
-    in time. ``journal`` is what a command is doing, or was doing when the power went; empty otherwise.
+    in time. ``journal`` is what a command is doing, or was doing when the power went; empty otherwise. ``boot`` is who starts
+    the current release at power-on; ``stopped``: a person has stopped it, so systemd does not.
     """
 
     current: str = ""
@@ -179,6 +182,8 @@ class StackFacts:
     containers: tuple[Container, ...] = ()
     data: int | None = 0
     journal: str = ""
+    boot: Literal["docker", "systemd"] = "docker"
+    stopped: bool = False
 
     @property
     def running(self) -> bool:

@@ -9,10 +9,13 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
       delivered             which files of data/ came from a desktop, and their digests
       history               one line for each ship, start, stop, rollback: when, what, release, by whom, outcome
       journal               what a command is doing to the containers; there only while it does
+      stopped                `fab stop` was the last word: systemd does not start it (`boot: systemd`)
       proved                the containers whose health check has passed in a swap
     receipts/               the manifests of the images that were sent, for a containerd store
     spool/                  uploads that were interrupted; empty otherwise
+    stick/                  the work of `sh install` on a USB stick; empty otherwise
     runs/                   what goes on without a desktop: its script, for a power cut, and its output
+    boot.sh                 starts stacks that systemd owns (`boot: systemd`)
     history                 what was done to the robot as a whole: `fab provision`
     lock, holder            held while containers are swapped or old releases removed; by whom
 

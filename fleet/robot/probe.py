@@ -161,7 +161,8 @@ def _docker(sections: Mapping[str, str], *, there: bool) -> Docker:
         containerd="io.containerd.snapshotter.v1" in status,
         members=_members(sections["group"]),
         daemon_config=sections["daemon"],
-        finish_unit=_finish_unit(sections["finish"]),
+        finish_unit=_unit(sections["finish"]),
+        boot_unit=_unit(sections["boot unit"]),
         starts_at_boot=sections["boot"] == "enabled",
         runtimes=tuple(name for word, name in words if word == "runtime"),
         default_runtime=next((name for word, name in words if word == "default"), ""),
@@ -214,8 +215,8 @@ def _client(line: str) -> str:
     return version if _VERSION.fullmatch(version) else ""
 
 
-def _finish_unit(answer: str) -> str:
-    """The digest of the unit if it is enabled."""
+def _unit(answer: str) -> str:
+    """The digest of a unit if it is enabled."""
     match answer.split():
         case ["enabled", digest]:
             return digest
@@ -297,6 +298,8 @@ def _stack(lines: list[str], containers: list[Container]) -> StackFacts:
         containers=tuple(containers),
         data=None if data is None else data * 1024,
         journal=last.get("journal", ""),
+        stopped="stopped" in last,
+        boot="systemd" if last.get("boot") == "systemd" else "docker",
     )
 
 

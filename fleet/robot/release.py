@@ -18,14 +18,15 @@ from typing import TYPE_CHECKING, Any
 
 from fleet.config.compose import HOME
 from fleet.config.project_files import File, ProjectFiles, on_robot
-from fleet.config.stack import is_cdi_name, literal
+from fleet.config.stack import Service, is_cdi_name, literal
 from fleet.robot import paths
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from fleet.config.compose import Project
-    from fleet.config.stack import Service, Stack
+    from fleet.config.stack import Restart, Stack
+    from fleet.config.validation import Boot
     from fleet.images.image import Image
 
 _ID = "id-of-the-release"
@@ -37,6 +38,7 @@ class Release:
 
     ``compose`` is the text of its Compose file, in which `fleet.config.compose.HOME` stands for the login's home.
     ``empty`` are folders of the project without a file, ``folders`` those of the robot's data that must exist, ``seeds`` the files that it starts with.
+    ``boot`` is who starts it at power-on.
     """
 
     id: str
@@ -49,6 +51,7 @@ class Release:
     seeds: Mapping[str, File] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
+    boot: Boot = "docker"
 
     def files(self, home: str) -> dict[str, File]:
         """The files of the release's folder, for a login whose home directory is ``home``."""
@@ -61,6 +64,7 @@ class Release:
                 data="".join(f"{one.name}={one.restart}\n" for one in _must_run(self.services)).encode()
             ),
             "data-folders": File(data="".join(f"{name}\n" for name in self.folders).encode()),
+            **({"boot": File(data=b"systemd\n")} if self.boot == "systemd" else {}),
             **{f"project/{name}": file for name, file in self.project.items()},
             **{f"seeds/{name}": file for name, file in self.seeds.items()},
         }
@@ -98,13 +102,17 @@ def compose(
     files: ProjectFiles,
     images: Mapping[str, Image],
     values: Mapping[str, str] | None = None,
+    boot: Boot = "docker",
 ) -> Release:
     """One robot's release of a stack; ``images`` has the local image of each service.
 
-    ``values`` are the robot's variables: configs and secrets that are taken from one become files.
+    ``values`` are the robot's variables: configs and secrets that are taken from one become files. ``boot`` says who starts
+    it at power-on.
     """
     rendering = _Rendering(stack, project=project, data=files.data)
     model = rendering.model(images, values=values or {})
+    if boot == "systemd":
+        _leave_to_systemd(model)
     ours = {**files.files, **rendering.files}
     digest = _digest(model, ours, files, images)
     labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
@@ -121,7 +129,76 @@ def compose(
         seeds=files.seeds,
         folders=files.folders,
         empty=files.empty,
+        boot=boot,
     )
+
+
+def _leave_to_systemd(model: Mapping[str, Any]) -> None:
+    """Switch Docker's restart policies off: with any of them, Docker may start a container before network and clock."""
+    for service in model["services"].values():
+        service["restart"] = "no"
+        (service.get("deploy") or {}).pop("restart_policy", None)
+
+
+def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Image, ...]) -> Release:
+    """The release ``name`` that was packed with `Release.archive` for the home `fleet.config.compose.HOME`.
+
+    Raises:
+        ValueError, KeyError, tarfile.TarError: it is not the archive of a release.
+
+    """
+    files, folders = _members(data)
+    text = files["compose.yaml"].data.decode()
+    policies = (line.partition("=") for line in files["services"].data.decode().splitlines())
+    model = json.loads(text)["services"]
+    services = {
+        service: Service(name=service, image=model[service]["image"], restart=_policy(policy))
+        for service, _, policy in policies
+    }
+    above = set(_folders(files))
+    return Release(
+        id=name,
+        stack=stack,
+        robot=robot,
+        services=services,
+        images=images,
+        compose=text,
+        project=_below("project/", files),
+        seeds=_below("seeds/", files),
+        folders=tuple(files["data-folders"].data.decode().splitlines()),
+        empty=tuple(name.removeprefix("project/") for name in folders if name not in above),
+        boot="systemd" if "boot" in files else "docker",
+    )
+
+
+def _members(data: bytes) -> tuple[dict[str, File], list[str]]:
+    """The files of an archive, and its folders."""
+    files: dict[str, File] = {}
+    folders: list[str] = []
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        for member in archive:
+            if ".." in PurePosixPath(member.name).parts or member.name.startswith("/"):
+                raise ValueError(member.name)
+            content = archive.extractfile(member) if member.isfile() else None
+            if content:
+                files[member.name] = File(data=content.read(), mode=member.mode)
+            elif member.issym():
+                files[member.name] = File(link=member.linkname, mode=member.mode)
+            else:
+                folders.append(member.name)
+    return files, folders
+
+
+def _below(folder: str, files: Mapping[str, File]) -> dict[str, File]:
+    return {name.removeprefix(folder): file for name, file in files.items() if name.startswith(folder)}
+
+
+def _policy(word: str) -> Restart:
+    match word:
+        case "no" | "on-failure" | "always":
+            return word
+        case _:
+            raise ValueError(word)
 
 
 def _digest(

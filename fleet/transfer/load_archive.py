@@ -14,6 +14,7 @@ import tarfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fleet.config.image_reference import full_name
 from fleet.images.layer import PLAIN
 
 if TYPE_CHECKING:
@@ -79,9 +80,11 @@ class ArchiveSkeleton:
 
 
 def skeleton(
-    images: Sequence[TargetImage], *, blobs: Mapping[str, Blob], sent: Sequence[Blob]
+    images: Sequence[TargetImage], *, blobs: Mapping[str, Blob], sent: Sequence[Blob], incoming: bool = True
 ) -> ArchiveSkeleton:
     """The skeleton of an archive of ``images`` that contains the layers ``sent``.
+
+    With ``incoming``, Docker loads them under their private names, else under those that releases use.
 
     ``blobs`` maps diff IDs to the bytes by which a layer is known. A layer without a blob is already in a classic store,
     which knows it by its diff ID.
@@ -99,9 +102,10 @@ def skeleton(
         digest = _add(buffer, manifest)
         ids = (f"sha256:{config}", f"sha256:{digest}")
         manifests.append(StoredManifest(image=image, ids=ids, offset=offset, length=len(manifest)))
-        index.append(_entry(image, digest=digest, size=len(manifest)))
+        loaded_as = image.incoming if incoming else image.name
+        index.append(_entry(image, loaded_as, digest=digest, size=len(manifest)))
         paths = [f"blobs/sha256/{str(layer['digest']).removeprefix('sha256:')}" for layer in layers]
-        listing.append({"Config": f"blobs/sha256/{config}", "RepoTags": [image.incoming], "Layers": paths})
+        listing.append({"Config": f"blobs/sha256/{config}", "RepoTags": [loaded_as], "Layers": paths})
     _add(buffer, _json({"schemaVersion": 2, "mediaType": _INDEX, "manifests": index}), "index.json")
     _add(buffer, _json({"imageLayoutVersion": "1.0.0"}), "oci-layout")
     _add(buffer, _json(listing), "manifest.json")
@@ -114,10 +118,10 @@ def _descriptor(diff_id: str, blob: Blob | None) -> dict[str, object]:
     return {"mediaType": blob.media_type, "digest": blob.digest, "size": blob.size}
 
 
-def _entry(image: TargetImage, *, digest: str, size: int) -> dict[str, object]:
+def _entry(image: TargetImage, name: str, *, digest: str, size: int) -> dict[str, object]:
     """An image in the index; containerd needs the full name, with the registry that short names imply."""
     names = {
-        "io.containerd.image.name": f"docker.io/{image.incoming}",
+        "io.containerd.image.name": full_name(name),
         "org.opencontainers.image.ref.name": image.fingerprint,
     }
     return {"mediaType": _MANIFEST, "digest": f"sha256:{digest}", "size": size, "annotations": names}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from fleet.plan.delivery import Delivery
 from fleet.plan.step import ImageArchive, UploadBatch
@@ -18,18 +18,34 @@ from fleet.transfer.receive import TransferRun
 from fleet.transfer.upload_server import UploadServer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from fleet.config.inventory import Robot
     from fleet.images.image import Image
     from fleet.images.layer import Blob
-    from fleet.images.store import Store
     from fleet.plan.step import Feed
     from fleet.robot.facts import Facts
     from fleet.transfer.delivery import Strategy
     from fleet.transfer.rate_limit import RateLimiter
     from fleet.transfer.rebuild_command import Source
+
+
+class Images(Protocol):
+    """Where images come from: this computer's Docker (`fleet.images.store.Store`), or a bundle."""
+
+    def export(self, wanted: Image, /) -> Iterable[bytes]:
+        """The image as ``docker save`` writes it."""
+
+    def archive(self, local: str, reference: str, /) -> Iterable[bytes]:
+        """The image ``local`` as ``docker save`` writes it, named ``reference``."""
+
+    def pushed(self, wanted: Image, layers: Collection[str], /) -> AbstractContextManager[Mapping[str, Path]]:
+        """A quicker way to the configuration and some ``layers``, as files by digest; nothing if there is none."""
+
+    def prime(self, wanted: Image, /) -> None:
+        """Prepare the quicker way for the next time."""
 
 
 class Sender:
@@ -58,8 +74,8 @@ class Sender:
 
     @classmethod
     @contextlib.contextmanager
-    def using(cls, store: Store, *, limiter: RateLimiter, by: str) -> Generator[Self]:
-        """A sender of this computer's images, whose cache is reduced to its maximum size at the end."""
+    def using(cls, store: Images, *, limiter: RateLimiter, by: str) -> Generator[Self]:
+        """A sender of images, whose cache is reduced to its maximum size at the end."""
         directory = folder()
         cache = LayerCache(
             directory=directory, export=store.export, pushed=store.pushed, exported=store.prime

@@ -32,7 +32,18 @@ CONTAINER = {
         "since",
     )
 }
-STACK = {"current", "checksum", "releases", "services", "history", "containers", "data", "journal"}
+STACK = {
+    "current",
+    "checksum",
+    "releases",
+    "services",
+    "history",
+    "containers",
+    "data",
+    "journal",
+    "boot",
+    "stopped",
+}
 STATUS = {
     *("reachable", "healthy"),
     *(f"host.{key}" for key in ("identity", "machine", "userland", "os", "clock")),
@@ -41,6 +52,7 @@ STATUS = {
     *(f"disk.{key}" for key in ("size", "free", "home_free", "shared")),
     *(f"docker.{key}" for key in ("state", "kind", "version", "client", "compose", "data_root", "driver")),
     *(f"docker.{key}" for key in ("containerd", "members", "daemon_config", "starts_at_boot", "finish_unit")),
+    "docker.boot_unit",
     *("docker.runtimes", "docker.default_runtime", "docker.cdi"),
     *(f"hardware.{key}" for key in ("model", "l4t", "raw_table", "toolkit", "cdi", "devices", "boot_folder")),
     *(
@@ -54,7 +66,7 @@ STATUS = {
 }
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
-    *("name", "address", "user", "port", "identity_file", "platform"),
+    *("name", "address", "user", "port", "identity_file", "platform", "boot"),
     *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace")),
     *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),

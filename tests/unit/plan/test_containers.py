@@ -205,3 +205,16 @@ def _until_gone(pid: int) -> None:
         os.kill(pid, 0)
         time.sleep(0.01)
     os.kill(pid, signal.SIGKILL)
+
+
+def test_a_stack_of_systemd_is_stopped_even_if_it_has_ended() -> None:
+    """Else systemd would start it again; the second time it is unchanged."""
+    ended = container("abc", state="exited")
+    there = facts(current="abc", releases=("abc",), containers=(ended,), boot="systemd")
+
+    def stops(seen: Facts) -> bool:
+        return bool(containers.plan("stop", robot=PI, stack="talker", facts=seen, request=REQUEST).steps)
+
+    assert stops(there)
+    assert not stops(change(there, stopped=True))
+    assert not stops(change(there, boot="docker"))

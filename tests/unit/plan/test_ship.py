@@ -258,3 +258,14 @@ def test_a_conflict_can_be_decided_for_a_release_that_runs() -> None:
     assert steps(made, REQUEST, seen) == ()
     assert steps(made, desktop, seen)[-1].argv[-1] == "desktop"
     assert steps(NEW, desktop, running()) == ()
+
+
+def test_a_release_that_nobody_would_start_at_power_on_is_refused() -> None:
+    """With `boot: systemd` the unit must be there."""
+    wanted = replace(release(), boot="systemd")
+    for there, words in (("", "fab provision --hosts pi1"), ("no systemd", "boot: docker")):
+        with pytest.raises(NotReady, match=words):
+            ship.plan(
+                robot=PI, release=wanted, facts=facts(boot_unit=there), delivery=Delivery(), request=REQUEST
+            )
+    ship.plan(robot=PI, release=wanted, facts=facts(boot_unit="0a"), delivery=Delivery(), request=REQUEST)

@@ -10,7 +10,7 @@ from fleet.config.hardware import Hardware
 from fleet.config.inventory import Docker, Robot
 from fleet.errors import NotReady
 from fleet.plan.describe import lines
-from fleet.plan.step import Record
+from fleet.plan.step import Bytes, Record
 from fleet.provision import apt, steps
 from fleet.robot.facts import Disk, Facts, Host, Login
 from tests.support.samples import change
@@ -375,3 +375,22 @@ def test_a_pin_that_fits_is_content() -> None:
     """Debian's 26.1.5+dfsg1 is 26.1.5."""
     facts = change(READY, docker_version="26.1.5+dfsg1")
     assert planned(facts, of=robot(version="26.1.5")).steps == ()
+
+
+def test_systemd_owns_the_stacks_where_the_inventory_says_so() -> None:
+    """The script belongs to the login, the unit to root; once it is there, nothing is done. It is never removed."""
+    owner = robot().model_copy(update={"boot": "systemd"})
+    plan = planned(READY, of=owner)
+    assert titles(plan) == [
+        "write what systemd runs at power-on (~/.fleet/boot.sh)",
+        "let systemd start the stacks at power-on (fleet-boot.service)",
+    ]
+    script, unit = plan.steps[:2]
+    assert (script.argv[0], unit.argv[:2]) == ("sh", ("sudo", "-n"))
+    assert isinstance(unit.feed, Bytes)
+    assert b"\nUser=pi\n" in unit.feed.data
+    there = hashlib.sha256(b"".join(steps.boot_unit("pi"))).hexdigest()
+    assert not planned(change(READY, boot_unit=there), of=owner).steps
+    assert not planned(change(READY, boot_unit=there)).steps
+    with pytest.raises(NotReady, match="no systemd"):
+        planned(change(READY, boot_unit="no systemd"), of=owner)

@@ -17,7 +17,9 @@ from fleet.config.compose import HOME, LEVELS, Project, Resolved
 from fleet.config.project_files import File, ProjectFiles
 from fleet.config.stack import read
 from fleet.images.image import Image
+from fleet.robot import release as releases
 from fleet.robot.release import Release, compose
+from tests.support import samples
 from tests.support.robot_shell import SHELLS
 
 if TYPE_CHECKING:
@@ -307,3 +309,26 @@ def test_a_path_of_data_is_a_path() -> None:
     volumes = [{"type": "bind", "source": HERE, "target": "/ws"}]
     made = release({"volumes": volumes}, files=ProjectFiles(data=frozenset({"."})))
     assert node(made)["volumes"][0]["source"] == "/home/pi/.fleet/stacks/robot/data"
+
+
+def test_a_release_that_systemd_starts_has_no_restart_policy_of_dockers() -> None:
+    """Docker would start it before network and clock. What must run is said as before; a release of Docker's has no new file."""
+    images = dict.fromkeys(samples.STACK.services, samples.TALKER)
+    given: dict[str, Any] = {
+        "stack": samples.STACK,
+        "project": samples.PROJECT,
+        "files": FILES,
+        "images": images,
+    }
+    made = {"docker": compose(robot="pi1", **given), "systemd": compose(robot="pi1", boot="systemd", **given)}
+    services = {boot: json.loads(one.compose)["services"]["talker"] for boot, one in made.items()}
+    assert [services[boot]["restart"] for boot in made] == ["unless-stopped", "no"]
+    docker, systemd = (made[boot].files("/home/pi") for boot in made)
+    assert systemd.keys() - docker.keys() == {"boot"}
+    assert systemd["services"] == docker["services"]
+    assert made["docker"].id != made["systemd"].id
+    data = made["systemd"].archive(HOME)
+    again = releases.unpacked(
+        data, name=made["systemd"].id, stack="talker", robot="pi1", images=(samples.TALKER,)
+    )
+    assert again.files("/home/pi") == systemd

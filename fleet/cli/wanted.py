@@ -1,0 +1,80 @@
+"""What shall the robots of one `fab ship` run: releases of this computer's projects and images, or those of a bundle?"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fleet.bundle import read as bundles
+from fleet.cli.beside import beside
+from fleet.cli.stacks import Stacks, warnings_of
+from fleet.errors import UsageError
+from fleet.images.store import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Sequence
+
+    from fleet.bundle.read import BundleReader
+    from fleet.cli.console import Screen
+    from fleet.cli.stacks import RobotStack
+    from fleet.config.inventory import Robot
+    from fleet.robot.release import Release
+    from fleet.transfer.sender import Images
+
+    Releases = dict[str, list["Wanted"]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """A release that a robot shall run, and its stack's seconds. ``project`` is None for a release out of a bundle."""
+
+    release: Release
+    wait: int
+    settle: int
+    project: RobotStack | None = None
+
+
+@contextlib.contextmanager
+def opened(
+    robots: Sequence[Robot], *, out_of: str, only: str, screen: Screen
+) -> Generator[tuple[Images, Releases]]:
+    """Where the images are, and what each robot shall run, by its name: ``out_of`` a bundle, or of this computer.
+
+    Raises:
+        UsageError, DesktopError: as the bundle, Compose and Docker say.
+
+    """
+    with contextlib.ExitStack() as stack:
+        if out_of:
+            reader = stack.enter_context(bundles.opened(Path(out_of).expanduser()))
+            yield reader, {robot.name: bundled(reader, robot, only=only) for robot in robots}
+            return
+        store_opened = stack.enter_context(beside(Store))
+        stacks = stack.enter_context(Stacks())
+        found = stacks.of(robots, only=only)
+        screen.warnings(warnings_of(found))
+        store = stack.enter_context(store_opened())
+        yield store, {robot.name: built(stacks, robot, found[robot.name], store) for robot in robots}
+
+
+def built(stacks: Stacks, robot: Robot, found: Sequence[RobotStack], store: Store) -> list[Wanted]:
+    """What a robot shall run, with the images of this computer."""
+    return [
+        Wanted(release=release, wait=one.wait, settle=one.spec.settle, project=one)
+        for one, release in stacks.releases(robot, found, store)
+    ]
+
+
+def bundled(reader: BundleReader, robot: Robot, *, only: str) -> list[Wanted]:
+    """What a robot shall run, out of a bundle. Raises `UsageError` if that has nothing for it."""
+    stacks = reader.bundle.robot(robot.name).stacks
+    if only and only not in {one.name for one in stacks}:
+        cure = f"it has: {', '.join(one.name for one in stacks)}"
+        raise UsageError(f"the bundle has no stack {only} for {robot.name}", cure=cure)
+    return [
+        Wanted(release=reader.release(robot.name, one), wait=one.wait, settle=one.settle)
+        for one in stacks
+        if only in ("", one.name)
+    ]

@@ -1,0 +1,75 @@
+#!/bin/sh
+# start the current releases that systemd owns, after network and clock, and start again what ends of them
+#
+# fleet-boot.service runs it (`boot: systemd` in the inventory). A release that has a file `boot` is systemd's: Docker's own
+# restart policies are off in it. All others are Docker's, and left alone. What is current is looked up each time, so a
+# rollback, a stop or a removal needs no change here.
+set -u
+cd "$HOME/.fleet" || exit 1
+exec 9>>lock
+clock=${FLEET_CLOCK:-60}               # seconds to wait for the clock: a robot without a network must start too
+every=${FLEET_EVERY:-5}                # seconds between two looks
+passes=${FLEET_PASSES:-}               # of the loop; without end if it is empty
+started=${RUNTIME_DIRECTORY:?}/started # gone at power-on, there when only this was restarted
+
+owned() { # STACK-FOLDER
+    [ -e "$1/current/boot" ] && [ ! -e "$1/stopped" ]
+}
+any() { for here in stacks/*/; do ! owned "${here%/}" || return 0; done && return 1; }
+synchronized() { [ "$(timedatectl show --property=NTPSynchronized --value 2>/dev/null)" = yes ]; }
+# Whoever swaps containers holds the lock, and knows better what shall run.
+alone() {
+    flock -n 9 || return 1
+    echo "fleet-boot.service since $(date +%H:%M:%S)" >holder
+}
+
+# Containers that should run, of the current release, and have ended.
+ended() { # STACK-FOLDER
+    release=$(readlink "$1/current")
+    docker ps --all --quiet --no-trunc --filter "label=com.docker.compose.project=${1##*/}" \
+        --filter label=com.docker.compose.oneoff=False --filter status=exited 2>/dev/null |
+        xargs -r docker inspect --format \
+            '{{.ID}} {{index .Config.Labels "com.docker.compose.service"}} {{.State.ExitCode}} {{index .Config.Labels "fleet.release"}}' 2>/dev/null |
+        awk -v release="${release##*/}" -v services="$(tr '\n' ' ' <"$1/current/services")" '
+            BEGIN { n = split(services, pairs, " "); for (i = 1; i <= n; i++) { split(pairs[i], pair, "="); policy[pair[1]] = pair[2] } }
+            $4 == release && (policy[$2] == "always" || (policy[$2] == "on-failure" && $3 != 0)) { print $1 }'
+}
+
+until docker version >/dev/null 2>&1; do sleep 1; done
+if [ ! -e "$started" ] && any; then
+    waited=0
+    until synchronized; do
+        [ "$waited" -lt "$clock" ] || {
+            echo "the clock is not synchronized after $clock s: starting anyway"
+            break
+        }
+        sleep 1
+        waited=$((waited + 1))
+    done
+    until alone; do sleep 1; done
+    for here in stacks/*/; do
+        here=${here%/}
+        owned "$here" || continue
+        echo "start $(readlink "$here/current") of ${here##*/}"
+        (
+            cd -P "$here/current" && unset COMPOSE_FILE COMPOSE_PROFILES &&
+                exec timeout -k 10 600 docker compose --project-name "${here##*/}" --file compose.yaml up --detach --no-build --pull never 9>&-
+        ) || echo "it did not start"
+    done
+    flock -u 9
+fi
+: >"$started"
+
+while [ "$passes" != 0 ]; do
+    for here in stacks/*/; do
+        here=${here%/}
+        if ! owned "$here" || [ -z "$(ended "$here")" ] || ! alone; then continue; fi
+        # Asked again: it may have been stopped, or replaced, before the lock was free.
+        ids=$(! owned "$here" || ended "$here")
+        # shellcheck disable=SC2086 # one word per container
+        [ -z "$ids" ] || docker start $ids 9>&-
+        flock -u 9
+    done
+    passes=${passes:+$((passes - 1))}
+    sleep "$every" 9>&-
+done
