@@ -111,6 +111,9 @@ missing() {
     ! sshd_missing || echo openssh-server
     [ -z "$for_tests" ] || have zstd || echo zstd
     [ -z "$for_tests" ] || have ip || echo iproute2
+    # A USB stick in a file; not every distribution has the second.
+    [ -z "$for_tests" ] || have mkfs.vfat || echo dosfstools
+    [ -z "$for_tests" ] || have fusefat || ! known_to_apt fusefat || echo fusefat
     # The one program of the tests' images: they have no libraries.
     [ -z "$for_tests" ] || static_busybox || echo busybox-static
 }
