@@ -302,6 +302,10 @@ KNOWN_ERRORS = (
         r"(yaml: .+)|validating \S+: (.+)|(?:parsing \S+: |)(services\.\S+ .+)|(service \"[^\"]+\" .*undefined.*)",
         "the Compose file is not valid: {0}",
         "fix it, then run the same command again",
+        {
+            "ship": "the robot's Compose is older than this computer's, and does not know it: "
+            "leave it out, or install a newer Compose on the robot (`fab status --json` shows the version)"
+        },
     ),
     KnownError(
         r'external volume "([^"]+)" not found',

@@ -14,6 +14,7 @@
 # process, in the same breath as `current`, so that nobody has to be connected to hear it. After a power cut it is run again
 # with the same arguments.
 set -u
+umask 022
 verb=$1 stack=$2 release=$3 seen=$4 by=$5 wait=$6 settle=$7 conflict=$8
 fleet=$HOME/.fleet
 here=$fleet/stacks/$stack
@@ -116,12 +117,21 @@ digest() {
         readlink "$1" | sha256sum | cut -c1-64
     elif [ -f "$1" ]; then
         sha256sum <"$1" | cut -c1-64
+    elif [ -d "$1" ]; then
+        echo folder | sha256sum | cut -c1-64
     elif [ -e "$1" ]; then
         echo other
     fi
 }
 lay() { # FROM TO
-    mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
+    mkdir -p "${2%/*}" || return 1
+    if [ -d "$1" ] && [ ! -L "$1" ]; then
+        rm -f "$2" && mkdir "$2" && chmod --reference="$1" "$2"
+        return
+    fi
+    # A folder that has become a file: what the robot has in it is kept.
+    if [ -d "$2" ] && [ ! -L "$2" ] && ! rmdir "$2" 2>/dev/null; then mv -T --backup=numbered "$2" "$2.from-robot" || return 1; fi
+    cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
 }
 delivered() { path=$1 awk 'substr($0, 66) == ENVIRON["path"] { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
 merge_data() {
@@ -129,9 +139,11 @@ merge_data() {
     mkdir -p "$here/data"
     [ -d "$seeds" ] || return 0
     rm -f "$here/delivered.changed"
-    find "$seeds" ! -type d -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
+    find "$seeds" -mindepth 1 -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
     : >"$here/delivered.new"
+    kept=/ # a folder in whose place the robot has something else
     while IFS= read -r path; do
+        case $path in "$kept"/*) continue ;; esac
         new=$(digest "$seeds/$path") now=$(digest "$here/data/$path") last=$(delivered "$path")
         entry=$new
         case $now in
@@ -154,6 +166,7 @@ merge_data() {
                     say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
                 else
                     entry=$last
+                    [ -L "$seeds/$path" ] || [ ! -d "$seeds/$path" ] || kept=$path
                     if [ "$(digest "$here/data/$path.from-desktop")" != "$new" ]; then
                         lay "$seeds/$path" "$here/data/$path.from-desktop" || return 1
                         say "note: $path was changed on the robot too: kept, the new one is $path.from-desktop"

@@ -36,7 +36,7 @@ class Release:
     """One robot's release. ``id`` is derived from all the rest: the same content is the same release, anywhere.
 
     ``compose`` is the text of its Compose file, in which `fleet.config.compose.HOME` stands for the login's home.
-    ``empty`` are folders of the project without a file, ``folders`` those of the robot's data that must exist, ``seeds`` the files that it starts with.
+    ``folders`` are those of the robot's data that must exist, ``seeds`` the files that it starts with.
     """
 
     id: str
@@ -48,7 +48,6 @@ class Release:
     project: Mapping[str, File] = field(default_factory=dict)
     seeds: Mapping[str, File] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
-    empty: tuple[str, ...] = ()
 
     def files(self, home: str) -> dict[str, File]:
         """The files of the release's folder, for a login whose home directory is ``home``."""
@@ -67,8 +66,8 @@ class Release:
 
     def checksum(self, home: str) -> str:
         """What the probe says of the folder of this release while all of its files are right."""
-        regular = {name: file.data for name, file in self.files(home).items() if file.link is None}
-        lines = (f"{hashlib.sha256(regular[name]).hexdigest()}  ./{name}\n" for name in _sorted(regular))
+        regular = {name: file.data for name, file in self.files(home).items() if file.regular}
+        lines = (_checksum_line(regular[name], f"./{name}") for name in _sorted(regular))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
     def archive(self, home: str) -> bytes:
@@ -76,15 +75,14 @@ class Release:
         buffer = io.BytesIO()
         files = self.files(home)
         with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-            for folder in sorted({*_folders(files), *(f"project/{name}" for name in self.empty)}):
-                entry = tarfile.TarInfo(folder)
-                entry.type, entry.mode = tarfile.DIRTYPE, 0o755
-                archive.addfile(entry)
-            for name, file in sorted(files.items()):
+            above = dict.fromkeys(_folders(files), File(folder=True, mode=0o755))
+            for name, file in sorted((above | files).items(), key=lambda pair: (not pair[1].folder, pair[0])):
                 entry = tarfile.TarInfo(name)
                 entry.size, entry.mode = len(file.data), file.mode
-                if file.link is not None:
-                    entry.type, entry.linkname, entry.size = tarfile.SYMTYPE, file.link, 0
+                if file.folder:
+                    entry.type = tarfile.DIRTYPE
+                elif file.link is not None:
+                    entry.type, entry.linkname = tarfile.SYMTYPE, file.link
                 archive.addfile(entry, io.BytesIO(file.data))
             end = archive.offset + 2 * tarfile.BLOCKSIZE
         return buffer.getvalue()[:end]  # Python fills it up to 10 kB, for tapes
@@ -97,14 +95,10 @@ def compose(
     project: Project,
     files: ProjectFiles,
     images: Mapping[str, Image],
-    values: Mapping[str, str] | None = None,
 ) -> Release:
-    """One robot's release of a stack; ``images`` has the local image of each service.
-
-    ``values`` are the robot's variables: configs and secrets that are taken from one become files.
-    """
+    """One robot's release of a stack; ``images`` has the local image of each service."""
     rendering = _Rendering(stack, project=project, data=files.data)
-    model = rendering.model(images, values=values or {})
+    model = rendering.model(images)
     ours = {**files.files, **rendering.files}
     digest = _digest(model, ours, files, images)
     labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
@@ -120,7 +114,6 @@ def compose(
         project=ours,
         seeds=files.seeds,
         folders=files.folders,
-        empty=files.empty,
     )
 
 
@@ -148,7 +141,7 @@ class _Rendering:
         self._data = data
         self._stacks_folder = f"{HOME}/{paths.stack(stack.name)}"
 
-    def model(self, images: Mapping[str, Image], *, values: Mapping[str, str]) -> dict[str, Any]:
+    def model(self, images: Mapping[str, Image]) -> dict[str, Any]:
         """The whole model; files that it needs beside those of the project go to ``files``."""
         source = json.loads(json.dumps(self._stack.model))
         model = {key: value for key, value in source.items() if not key.startswith("x-") and value}
@@ -161,7 +154,7 @@ class _Rendering:
                 options["device"] = self._moved(options["device"])
         for kind in ("configs", "secrets"):
             for name, one in (model.get(kind) or {}).items():
-                model[kind][name] = self._given(kind, name, one, values)
+                model[kind][name] = self._given(kind, name, one)
         # What is left of the project's folder came from `${PWD}`: it differs in each run.
         place = f"{self._stacks_folder}/releases/{_ID}/project"
         moved: dict[str, Any] = _replaced(model, old=str(self._project.folder), new=place)
@@ -197,17 +190,16 @@ class _Rendering:
         whole = str(PurePosixPath(self._stacks_folder) / place / name)
         return whole.replace("$", "$$")
 
-    def _given(self, kind: str, name: str, one: Any, values: Mapping[str, str]) -> Any:  # noqa: ANN401  a model's value
+    def _given(self, kind: str, name: str, one: Any) -> Any:  # noqa: ANN401  a model's value
         """A config or a secret as a file: what old versions of Compose do not know becomes one."""
         if not isinstance(one, dict):
             return one
         rest = {key: value for key, value in one.items() if key not in ("file", "content", "environment")}
         if "file" in one:
             return {**rest, "file": self._moved(one["file"])}
-        if "content" in one or "environment" in one:
-            text = literal(one["content"]) if "content" in one else values.get(one["environment"], "")
+        if "content" in one:
             inside = f"{kind}/{name}"
-            self.files[inside] = File(data=text.encode(), mode=0o600 if kind == "secrets" else 0o644)
+            self.files[inside] = File(data=literal(one["content"]).encode())
             folder = PurePosixPath(self._stacks_folder) / "releases" / _ID / "project"
             return {**rest, "file": str(folder / inside)}
         return one
@@ -267,6 +259,12 @@ def _text(model: Mapping[str, Any]) -> str:
 
 def _must_run(services: Mapping[str, Service]) -> list[Service]:
     return [service for service in services.values() if service.replicas > 0]
+
+
+def _checksum_line(data: bytes, name: str) -> str:
+    """What ``sha256sum`` prints of a file: a backslash in its name is doubled, and another one begins the line."""
+    escaped = name.replace("\\", r"\\")
+    return f"{chr(92) if escaped != name else ''}{hashlib.sha256(data).hexdigest()}  {escaped}\n"
 
 
 def _sorted(names: Mapping[str, Any]) -> list[str]:
