@@ -115,7 +115,7 @@ become_current() {
 digest() {
     if [ -L "$1" ]; then
         readlink "$1" | sha256sum | cut -c1-64
-    elif [ -f "$1" ]; then
+    elif [ -f "$1" ] && [ -r "$1" ]; then
         sha256sum <"$1" | cut -c1-64
     elif [ -d "$1" ]; then
         echo folder | sha256sum | cut -c1-64
@@ -133,6 +133,14 @@ lay() { # FROM TO
     if [ -d "$2" ] && [ ! -L "$2" ] && ! rmdir "$2" 2>/dev/null; then mv -T --backup=numbered "$2" "$2.from-robot" || return 1; fi
     cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
 }
+# A folder that a container has closed hides what is in it.
+reachable() { # PATH
+    up=${1%/*}
+    while [ ! -d "$up" ]; do up=${up%/*}; done
+    [ -x "$up" ] && return
+    say "cannot reach '$up/${1##*/}': Permission denied" >&2
+    return 1
+}
 delivered() { path=$1 awk 'substr($0, 66) == ENVIRON["path"] { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
 merge_data() {
     seeds=$(folder "$release")/seeds
@@ -149,6 +157,7 @@ merge_data() {
         case $now in
             "$new") ;;
             '')
+                [ "$new" = "$last" ] || reachable "$here/data/$path" || return 1
                 # Never delivered: the robot gets it. Delivered, and removed by the robot: it stays removed.
                 if [ -z "$last" ] || { [ "$conflict" = desktop ] && [ "$new" != "$last" ]; }; then
                     lay "$seeds/$path" "$here/data/$path" || return 1
@@ -255,13 +264,16 @@ judge() { # SECONDS
         }'
 }
 
+# Seconds since the boot. The clock of a robot without a battery jumps by months when it finds a time server.
+seconds() { cut -d. -f1 /proc/uptime; }
+
 watch() {
-    began=$(date +%s) most=$wait proved=
+    began=$(seconds) most=$wait proved=
     [ "$settle" -le "$most" ] || most=$settle
     while :; do
         # shellcheck disable=SC2046 # one word per container
         proved="$proved $(check_all $(states | awk -v proved="$proved" '$3 == "running" && $6 == "starting" && !index(proved, $1) { print $1 }') | tr '\n' ' ')"
-        passed=$(($(date +%s) - began))
+        passed=$(($(seconds) - began))
         verdict=$(judge "$passed")
         case $verdict in
             ok)

@@ -112,7 +112,7 @@ def test_containers_are_those_of_compose(project: Project, pi: Pi) -> None:
         asked(pi, f"docker exec {name_of(pi, 'web')} cat /etc/site.conf") == FILES["config/site.conf"].strip()
     )
     seen = listing(pi, name_of(pi, "web"))
-    assert "/config/empty/deep" in seen
+    assert "./config/empty/deep d 755 1000" in seen
     by_hand(project, pi, image=shipped["web"]["Config"]["Image"])
     expected = inspected(pi, "byhand")
     asked(pi, f"docker start {expected['web']['Id']}")
@@ -164,9 +164,8 @@ def inspected(pi: Pi, stack: str) -> dict[str, Any]:
 def listing(pi: Pi, container: str) -> list[str]:
     """Name, mode, owner and kind of all that is mounted into a container, as its mount namespace has it."""
     process = asked(pi, f"docker inspect --format '{{{{.State.Pid}}}}' {container}")
-    places = "/config /logs /run/secrets/token /etc/site.conf"
-    find = f"cd /proc/{process}/root && find {places.replace('/', './', 1).replace(' /', ' ./')}"
-    return sorted(asked(pi, f"{find} -printf '/%P %y %m %U %H\\n'").splitlines())
+    find = f"cd /proc/{process}/root && find ./config ./logs ./run/secrets/token ./etc/site.conf"
+    return sorted(asked(pi, f"{find} -printf '%p %y %m %U\\n'").splitlines())
 
 
 def name_of(pi: Pi, service: str) -> str:

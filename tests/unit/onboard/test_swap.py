@@ -704,3 +704,36 @@ def test_a_file_becomes_a_folder_and_a_folder_a_file(robot: Robot) -> None:
     assert {path.name for path in (robot.data / "b.from-robot").iterdir()} == {"x", "own"}
     assert (robot.data / "c").read_text() == "own"
     assert "note: c was changed on the robot too: kept, the new one is c.from-desktop" in done.stdout
+
+
+@pytest.mark.parametrize("jump", ["+3 years", "-3 years"])
+def test_the_clock_jumps_in_a_swap(robot: Robot, jump: str) -> None:
+    """As on a robot without a battery that finds a time server: the release is neither too late nor watched for ever."""
+    date = robot.home.parent / "bin/date"
+    date.write_text(
+        f'#!/bin/sh\n[ -e {date}.once ] && exec {shutil.which("date")} -d \'{jump}\' "$@"\n: >{date}.once\nexec {shutil.which("date")} "$@"\n'
+    )
+    date.chmod(0o755)
+    robot.release("one")
+    began = time.monotonic()
+    done = robot.swap("one", settle=2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 2 <= time.monotonic() - began < 40
+
+
+def test_a_folder_that_a_container_has_closed(robot: Robot) -> None:
+    """What is in it was not removed, it is out of sight: a changed file cannot be laid there, and that is said."""
+    if os.geteuid() == 0:
+        pytest.skip("root sees all")
+    robot.release("one", seeds={"cfg/tune.yaml": "1"})
+    robot.release("two", seeds={"cfg/tune.yaml": "2"})
+    assert robot.swap("one").returncode == 0
+    (robot.data / "cfg").chmod(0)
+    again, other = robot.swap("one"), robot.swap("two")
+    (robot.data / "cfg").chmod(0o755)
+    assert (again.returncode, other.returncode) == (0, 1)
+    what = (
+        f"the robot's data cannot be written: cannot reach '{robot.data}/cfg/tune.yaml': Permission denied\n"
+    )
+    assert other.stderr.startswith(what)
+    assert robot.containers() == {"node": "one running"}
