@@ -6,6 +6,7 @@
 set -e
 umask 022
 part=$1.$$.part
+trap 'rm -rf "$part"' EXIT # a disk that is full gets its room back
 mkdir -p "$part"
 # Secrets are in it. Containers reach what is mounted; other logins do not come in.
 chmod 700 "$part"

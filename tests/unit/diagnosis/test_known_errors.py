@@ -415,7 +415,7 @@ HEARD = [
     (
         "sh: 1: cannot create .fleet/history: Permission denied",  # dash
         "something in the robot's ~/.fleet belongs to another user",
-        "sudo chown -R",
+        "-exec chown $(id -un): {} +",
     ),
     (
         "failed to start daemon: error initializing graphdriver: driver not supported: foo",

@@ -97,6 +97,7 @@ def test_an_archive_that_was_cut_replaces_nothing(home: Path, new: Release, part
         half = Step(title="", argv=step.argv, feed=Bytes(label="", data=step.feed.data[:cut]))
         assert do(half, home).returncode != 0
         assert tree(folder) == before
+        assert list(folder.parent.glob("*.part")) == []  # a full disk has no room for litter
 
 
 def test_the_last_file_of_a_release_is_the_one_that_is_looked_for(new: Release) -> None:
