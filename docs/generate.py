@@ -191,7 +191,11 @@ def _exit_codes() -> str:
 | --- | --- |
 | 0 | every robot is in the state that was asked for |
 | {errors.FleetError.exit_code} | at least one robot failed or could not be reached, or this computer lacks something |
-| {errors.UsageError.exit_code} | the command line, the inventory, the Compose file or an image is wrong; nothing was changed |
+| {errors.UsageError.exit_code} | the command line, the inventory, the Compose file or an image is wrong, or does not fit a robot; nothing was changed |
+
+"Does not fit" means what a look at the robot shows before anything is sent: a port or a container name that something
+else there has, two robots that are one computer, another platform, a release or a stack that is not there. It is 1 if
+another robot was changed or has failed in the same run, and if the robot itself is not ready: no Docker, a full disk, a device that is not plugged in.
 
 `fab status` ends with 1 if a robot does not answer or one of its containers is not healthy. `fab run` ends with 1 if the
 command fails on a robot.

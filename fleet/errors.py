@@ -13,7 +13,8 @@
         ├── Unreachable        no SSH connection: name, route, port, timeout
         ├── UntrustedHostKey   the host key is unknown, changed or revoked
         ├── LoginRefused       the robot answered and refuses the login
-        ├── NotReady           the robot lacks something that the verb needs: Docker, disk space, the right architecture
+        ├── NotReady           the robot lacks something that the verb needs: Docker, disk space
+        │   └── Refused        what was asked does not fit the robot: a port that is taken, another platform; exit code 2
         ├── LinkLost           the connection was lost while a command ran
         ├── TimedOut           a command took longer than its limit
         ├── CommandFailed      a command ended with an exit code other than 0
@@ -84,6 +85,12 @@ class LoginRefused(RobotError):
 
 class NotReady(RobotError):
     """The robot lacks something that this verb needs; nothing was changed."""
+
+
+class Refused(NotReady):
+    """What the command, the inventory or the Compose file asks for does not fit this robot; nothing was changed."""
+
+    exit_code = 2
 
 
 class LinkLost(RobotError):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 from fleet.config import compose, docker_rules, project_files, stack
 from fleet.config.project_files import File, ProjectFiles
-from fleet.errors import InventoryError, NotReady, UsageError
+from fleet.errors import InventoryError, Refused, UsageError
 from fleet.plan.ship import HEALTHY_WITHIN
 from fleet.robot import release
 from fleet.ros import environment as ros
@@ -98,7 +98,6 @@ class Stacks:
             project=one.project,
             files=self._files[key],
             images=images,
-            values=one.environment,
             boot=robot.boot,
         )
 
@@ -175,14 +174,14 @@ def stacks_there(facts: Facts, *, only: str, alone: bool = False) -> list[str]:
     """The stacks that a robot has, or ``only`` the one with that name; ``alone``: it must be one.
 
     Raises:
-        NotReady: the robot does not have it.
+        Refused: the robot does not have it.
 
     """
     names = [name for name, one in facts.fleet.stacks.items() if one.releases or one.containers]
     if only and only not in names:
-        raise NotReady(f"it has no stack {only}", cure=f"it has: {', '.join(names) or 'none'}")
+        raise Refused(f"it has no stack {only}", cure=f"it has: {', '.join(names) or 'none'}")
     if alone and not only and len(names) > 1:
-        raise NotReady("it has several stacks", cure=f"say which with --stack: {', '.join(names)}")
+        raise Refused("it has several stacks", cure=f"say which with --stack: {', '.join(names)}")
     return [only] if only else names or [""]
 
 

@@ -6,7 +6,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from fleet.config import yamlfile
-from fleet.errors import ComposeError, FleetError, NotReady, SelectionError
+from fleet.errors import ComposeError, FleetError, Refused, SelectionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -70,7 +70,7 @@ class Machines:
         """Take a computer for a robot.
 
         Raises:
-            NotReady: it is another robot of the same run, or what runs on it was shipped to a robot of another name.
+            Refused: it is another robot of the same run, or what runs on it was shipped to a robot of another name.
 
         """
         identity = facts.host.identity
@@ -78,11 +78,11 @@ class Machines:
             other = self._names.setdefault(identity, robot.name) if identity else robot.name
         if other != robot.name:
             cure = "correct the address of one of them in the inventory"
-            raise NotReady(f"{robot.name} and {other} are the same computer", cure=cure)
+            raise Refused(f"{robot.name} and {other} are the same computer", cure=cure)
         names = {one.robot for there in facts.fleet.stacks.values() for one in there.containers if one.robot}
         if names and robot.name not in names and not renamed:
             earlier = ", ".join(sorted(names))
-            raise NotReady(
+            raise Refused(
                 f"this computer was shipped to as {earlier}, and the inventory calls it {robot.name}",
                 cure=f"correct the address; or, if the robot has a new name: fab ship --hosts {robot.name} --renamed",
             )
@@ -92,7 +92,7 @@ def same_stack(one: RobotStack, facts: Facts, *, robot: Robot) -> None:
     """Refuse a copy of a project under another folder name: it would start beside the first one, with empty volumes.
 
     Raises:
-        NotReady: the robot runs a stack with the same services under another name, and this one is named by its folder.
+        Refused: the robot runs a stack with the same services under another name, and this one is named by its folder.
 
     """
     there = facts.fleet.stacks
@@ -101,7 +101,7 @@ def same_stack(one: RobotStack, facts: Facts, *, robot: Robot) -> None:
     services = set(one.stack.services)
     for name, other in there.items():
         if other.services and set(other.services) == services:
-            raise NotReady(
+            raise Refused(
                 f"it runs these services as stack {name}, and this folder's name makes them stack {one.stack.name}",
                 cure=f"write `name: {name}` into {one.project.files[0]} to go on with it, "
                 f"or `name: {one.stack.name}` to have both on {robot.name}",

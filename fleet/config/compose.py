@@ -23,11 +23,11 @@ from pathlib import Path, PurePosixPath
 from shutil import which
 from typing import TYPE_CHECKING, Any
 
-from fleet.config import yamlfile
+from fleet.config import compose_wording, yamlfile
 from fleet.errors import ComposeError, DesktopError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping, Sequence
+    from collections.abc import Generator, Mapping, Sequence
 
 HOME = "/home-of-the-robots-login"
 """Stands for the home directory on the robot, which is not known before the robot is asked."""
@@ -134,7 +134,45 @@ def resolve(project: Project, *, environment: Mapping[str, str]) -> Resolved:
     except ValueError:
         raise DesktopError("Compose did not answer with JSON", cure="see `docker compose version`") from None
     _check_profiles(project, environment)
+    _fill_in(model, project, environment)
     return Resolved(model=model, warnings=warnings)
+
+
+def _fill_in(model: dict[str, Any], project: Project, environment: Mapping[str, str]) -> None:
+    """Give configs and secrets their content that come from a variable, which Compose would read when it starts them.
+
+    Raises:
+        ComposeError: a service wants one whose variable is not set.
+
+    """
+    services = (model.get("services") or {}).values()
+    wanted = {
+        (kind, use["source"]): model[kind][use["source"]]["environment"]
+        for kind in ("configs", "secrets")
+        for service in services
+        for use in service.get(kind) or ()
+        if "environment" in ((model.get(kind) or {}).get(use["source"]) or {})
+    }
+    values = _values(project, environment, set(wanted.values()))
+    for (kind, name), variable in wanted.items():
+        if variable not in values:
+            place = where(project, (kind, name))
+            what = f"{place}: {kind}.{name}: the variable {variable} is not set"
+            raise ComposeError(what, cure=compose_wording.cure_of("the required variable"))
+        model[kind][name]["content"] = values[variable]
+
+
+def _values(project: Project, environment: Mapping[str, str], names: set[str]) -> dict[str, str]:
+    """The variables that are set, the project's ``.env`` included; a literal ``$`` is written ``$$``."""
+    if not names:
+        return {}
+    asked = {name: f"${{{name}+x${{{name}}}}}" for name in sorted(names)}
+    question = {"name": "question", "services": {"one": {"image": "x", "environment": asked}}}
+    done = _run(
+        project, ("--file", "-", "config", "--format", "json"), environment, asks=json.dumps(question)
+    )
+    answer = json.loads(done.stdout)["services"]["one"]["environment"] if done.returncode == 0 else {}
+    return {name: value[1:] for name, value in answer.items() if value}
 
 
 def _check_profiles(project: Project, environment: Mapping[str, str]) -> None:
@@ -153,14 +191,15 @@ def _check_profiles(project: Project, environment: Mapping[str, str]) -> None:
 
 
 def _run(
-    project: Project, arguments: tuple[str, ...], environment: Mapping[str, str]
+    project: Project, arguments: tuple[str, ...], environment: Mapping[str, str], *, asks: str = ""
 ) -> subprocess.CompletedProcess[str]:
+    """Run Compose on the project's files, or on ``asks``, a Compose file of our own in its folder."""
     try:
         return subprocess.run(
-            (*program(), *_files(project), *arguments),
+            (*program(), *(() if asks else _files(project)), *arguments),
             cwd=project.folder,
             env={"HOME": HOME, **environment, "PWD": str(project.folder)},
-            stdin=subprocess.DEVNULL,
+            input=asks,
             capture_output=True,
             text=True,
             encoding="utf-8",
@@ -228,7 +267,7 @@ def where(project: Project, location: Sequence[str | int]) -> str:
     best, depth = str(project.files[0]), 0
     for path in sources(project):
         document = yamlfile.parse(yamlfile.text(path, error=ComposeError), path=path, error=ComposeError)[0]
-        known, line = _nearest(document, tuple(map(str, location)))
+        known, line = compose_wording.nearest(document, tuple(map(str, location)))
         if known > depth:
             best, depth = f"{_shown(path, project)}:{line}", known
     return best
@@ -257,9 +296,10 @@ def _refusal(message: str, project: Project) -> ComposeError:
     if blamed and (named := project.real / blamed[1]).is_file():
         paths = [named, *(path for path in paths if _in_folder(path) != named)]
     documents = [_document(path, project) for path in paths]
-    sentence = _sentence(text[blamed.end() :] if blamed else text)
+    sentence = compose_wording.sentence(text[blamed.end() :] if blamed else text)
     return ComposeError(
-        f"{_place(sentence, documents) or documents[0].path}: {sentence}", cure=_cure(sentence)
+        f"{compose_wording.place_of(sentence, documents) or documents[0].path}: {sentence}",
+        cure=compose_wording.cure_of(sentence),
     )
 
 
@@ -284,111 +324,3 @@ def _readable(text: str, project: Project) -> str:
 
 def _shown(path: Path, project: Project) -> Path:
     return next((named for named in project.files if _in_folder(named) == _in_folder(path)), path)
-
-
-def _required(found: re.Match[str]) -> str:
-    return f"{found[1]}: the required variable {found[2]} is not set" + (f" ({found[3]})" if found[3] else "")
-
-
-def _circle(found: re.Match[str]) -> str:
-    names = re.findall(r"(?:extends )?(\S+) in ", found[1])
-    if len(names) > 1 and names[0] == names[-1]:  # Compose begins anywhere in the circle
-        first = names.index(min(names))
-        names = [*names[first:-1], *names[: first + 1]]
-    return f"services extend each other in a circle: {' -> '.join(names)}"
-
-
-_WORDINGS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
-    (r"error while interpolating (\S+): required variable (\S+) is missing a value(?:: (.+))?", _required),
-    (r"invalid interpolation format for (\S+)\.\n[^\n]*\n?(.*)", r"\1: `\2` is not a variable"),
-    (r"^Circular reference:(.*)", _circle),
-    (r"^dependency cycle detected: (.*)", r"services depend on each other in a circle: \1"),
-    (
-        r"decoding failed due to the following error\(s\):\s*'services\[(.+?)\]([^']*)' (.*)",
-        r"services.\1\2: \3",
-    ),
-    (r"^\s*additional propert(?:y|ies) (.+) not allowed", r"\1: there is no such key"),
-    (r" false schema", ": there is no such key"),
-    (r" has neither an image nor a build context specified", " has neither `image:` nor `build:`"),
-    (r" declares mutually exclusive (`.*`)", r" cannot have both \1"),
-    (r"^project name must not be empty", "the stack has no name, and its folder's name has no usable letter"),
-    (r"^env file (\S+) not found: .*", r"the env_file `\1`: no such file"),
-    (r"^open (.*): no such file or directory", r"`\1`: no such file"),
-    (r"^invalid hostPort: (.*)", r"`\1` is not a port of the host"),
-    (r"failed to access repository at (\S+):", r"there is no repository at `\1`:"),
-    (r": invalid compose project$", ""),
-)
-"""What Compose says, and the same in plain English."""
-
-
-def _sentence(text: str) -> str:
-    for pattern, replacement in _WORDINGS:
-        text = re.sub(pattern, replacement, text, flags=re.DOTALL)
-    return " ".join(text.split())
-
-
-_PATH = re.compile(
-    r"\b(?:services|volumes|networks|configs|secrets|include|name|x-)[.\[][\w.\[\]-]*|^\w+(?= must be)"
-)
-_SERVICE = re.compile(r"""\bservice ["']?([\w.-]+)""")
-_WORD = re.compile(r"""["'`]([^"'`]+)["'`]|(\S+)$""")
-
-
-def _place(message: str, documents: Sequence[yamlfile.Document]) -> str:
-    """``file:line`` of the key that a message names, or of the text that it quotes."""
-    for found in _PATH.finditer(message):
-        steps = [step for step in re.split(r"[.\[\]]+", found[0].rstrip(".")) if step]
-        depth, line, path = max((*_nearest(document, steps), document.path) for document in documents)
-        if depth:
-            return f"{path}:{line}"
-    service = _SERVICE.search(message)
-    for document in documents:
-        depth, line = _nearest(document, ("services", service[1])) if service else (0, 1)
-        lines = document.source.splitlines()
-        for found in reversed([*_WORD.finditer(message)]):
-            name = PurePosixPath(found[1] or found[2])
-            word = re.compile(rf"(?<![\w.-])(?:{re.escape(str(name))}|{re.escape(name.name)})(?![\w.-])")
-            for number in range(line if depth == 2 else 1, len(lines) + 1):
-                if word.search(lines[number - 1].partition(" #")[0]):
-                    return f"{document.path}:{number}"
-        if depth == 2:
-            return f"{document.path}:{line}"
-    return ""
-
-
-def _nearest(document: yamlfile.Document, steps: Sequence[str]) -> tuple[int, int]:
-    """How many of the steps a document has, and the line of the last one."""
-    entry, depth = document.root, 0
-    for step in steps:
-        key: str | int = int(step) if step.isdecimal() and step not in entry.inside else step
-        if key not in entry.inside:
-            break
-        entry, depth = entry.inside[key], depth + 1
-    return depth, entry.line
-
-
-_CURES = (
-    (
-        "the required variable",
-        "set it under `environment:` of the robot in the inventory, or in the project's .env",
-    ),
-    ("there is no such key", "see docs.docker.com/reference/compose-file"),
-    ("no such file", "make the file, or correct its name"),
-    ("not found", "make the file, or correct its name"),
-    ("is not a variable", "write `${NAME}`, or `$$` for a dollar sign"),
-    ("in a circle", "remove one of them"),
-    ("the stack has no name", "write `name:` at the top of the file"),
-    ("neither `image:` nor `build:`", "name an image"),
-    ("undefined", "define it in the file, or correct its name"),
-    ("cannot have both", "remove one of them"),
-    ("port of the host", "a port is a number from 1 to 65535"),
-    ("duration", "write a duration such as `1m30s`"),
-    ("must be", "see docs.docker.com/reference/compose-file"),
-    ("no repository at", "see whether `git clone` of it works here"),
-)
-
-
-def _cure(message: str) -> str:
-    return next(
-        (cure for words, cure in _CURES if words in message), "see what `docker compose config` says here"
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fleet.config import compose
 from fleet.config.image_reference import is_reference
@@ -10,6 +10,8 @@ from fleet.config.stack import literal
 from fleet.errors import ComposeError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from fleet.config.compose import Project, Resolved
 
 _POLICIES = ("no", "always", "on-failure", "unless-stopped")
@@ -31,6 +33,21 @@ def check(resolved: Resolved, project: Project) -> None:
         if restart.partition(":")[0] not in _POLICIES:
             cure = f"write one of {', '.join(_POLICIES)}"
             raise _refusal(project, name, "restart", f"{restart!r} is not a restart policy", cure)
+        if "provider" in service:
+            cure = "start it on the robot in another way, and remove the service"
+            raise _refusal(project, name, "provider", "robots have no program that provides a service", cure)
+        for volume in service.get("volumes") or ():
+            _check_volume(volume, project, name)
+
+
+def _check_volume(volume: Mapping[str, Any], project: Project, service: str) -> None:
+    target = literal(str(volume.get("target") or ""))
+    if volume.get("type") not in ("bind", "volume", "tmpfs"):
+        what = f"fleet cannot bring a volume of the type {volume.get('type')} to a robot"
+        raise _refusal(project, service, "volumes", what, "copy what is in it into the image of the service")
+    if not target.startswith("/"):
+        cure = "write a path that begins with `/`; a volume needs a name of two letters, as one is a drive of Windows"
+        raise _refusal(project, service, "volumes", f"{target!r} is not a path in a container", cure)
 
 
 def _refusal(project: Project, service: str, key: str, what: str, cure: str) -> ComposeError:

@@ -7,6 +7,9 @@ Everything that a stack mounts from its project's folder is one of three:
            configuration files: what the robot has changed is kept.
 ``folders``  mounted and not there: the robot's data, an empty folder at first.
 
+A folder travels like a file, with its mode: also an empty one, and one that is open to all because a container writes to
+it as somebody else.
+
 A read-only mount that shares a path with a writable one is data too, or the two containers would not see the same files.
 """
 
@@ -47,25 +50,31 @@ UP = "_up"
 
 @dataclass(frozen=True, kw_only=True)
 class File:
-    """A file that travels: its bytes, or the target of a symbolic link; ``mode`` as ``chmod`` writes it."""
+    """A file that travels: its bytes, or the target of a symbolic link, or a folder; ``mode`` as ``chmod`` writes it."""
 
     data: bytes = b""
     link: str | None = None
     mode: int = 0o644
+    folder: bool = False
+
+    @property
+    def regular(self) -> bool:
+        """Whether it is neither a link nor a folder."""
+        return self.link is None and not self.folder
 
     @property
     def digest(self) -> str:
         """What it is recognized by: its bytes, its mode or its target."""
-        return hashlib.sha256(repr((self.data, self.link, self.mode)).encode()).hexdigest()
+        kind = "folder" if self.folder else self.link
+        return hashlib.sha256(repr((self.data, kind, self.mode)).encode()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectFiles:
-    """What travels, by its path below the project's folder on the robot; ``empty`` are folders without a file."""
+    """What travels, by its path below the project's folder on the robot."""
 
     files: Mapping[str, File] = field(default_factory=dict)
     seeds: Mapping[str, File] = field(default_factory=dict)
-    empty: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()
     data: frozenset[str] = frozenset()
 
@@ -95,15 +104,13 @@ def collect(
     data = {mount.path for mount in stack.mounts if any(_shares(mount.path, other) for other in writable)}
     collector = _Collector(project, allowed=tuple(path.resolve() for path in allowed), data=data)
     collector.files |= given or {}
-    # Secrets first: a path that is mounted as something else too stays for the login only.
-    for mount in sorted(stack.mounts, key=lambda mount: mount.kind != "secret"):
+    for mount in stack.mounts:
         if not any(PurePosixPath(name).is_relative_to(mount.path) for name in given or {}):
             collector.add(mount)
     if collector.problems:
         raise ComposeError("\n".join(dict.fromkeys(collector.problems)))
     return ProjectFiles(
         files=collector.files,
-        empty=tuple(sorted(collector.empty)),
         seeds=collector.seeds,
         folders=tuple(sorted(collector.folders)),
         data=frozenset(on_robot(path) for path in data),
@@ -121,7 +128,6 @@ class _Collector:
         self.files: dict[str, File] = {}
         self.seeds: dict[str, File] = {}
         self.folders: set[str] = set()
-        self.empty: set[str] = set()
         self.problems: list[str] = []
         self._project = project
         self._allowed = allowed
@@ -163,7 +169,13 @@ class _Collector:
         if mount.kind != "bind":
             self._problem(mount, "is not there", "make the file, or correct its name")
         elif mount.path == GIVEN and mount.path not in self._data:
-            self.empty.add(on_robot(mount.path))  # the inventory has no files for this robot
+            self.files[on_robot(mount.path)] = _FOLDER  # the inventory has no files for this robot
+        elif mount.must_exist:
+            self._problem(
+                mount,
+                "is not there, and `create_host_path: false` says that it must be",
+                "make it here, or remove that line",
+            )
         elif mount.path not in self._data:
             self._problem(
                 mount,
@@ -184,12 +196,17 @@ class _Collector:
         into = self.seeds if mount.path in self._data else self.files
         if here.is_dir():
             self.folders |= {name} if mount.path in self._data else set()
+            into[name] = _file(here.resolve())
             for path in self._walk(here):
+                if not _printable(path.name):
+                    what = f"has a name that cannot travel: {path.name!a}"
+                    self._problem(mount, what, f"rename it, or name it in {IGNORE}")
+                    continue
                 below = path.relative_to(here).as_posix()
                 size += self._size(path)
                 if size > LIMIT:
                     break
-                into[f"{name}/{below}".removeprefix("./")] = _file(path, secret=False)
+                into[f"{name}/{below}".removeprefix("./")] = _file(path)
         elif not stat.S_ISREG(here.stat().st_mode):
             self._problem(
                 mount, "is neither a file nor a folder", "name it by its absolute path if it is the robot's"
@@ -198,7 +215,7 @@ class _Collector:
         else:
             size = self._size(here)
             if size <= LIMIT:
-                into[name] = _file(here.resolve(), secret=mount.kind == "secret")
+                into[name] = _file(here.resolve())
         if size > LIMIT:
             self._problem(
                 mount,
@@ -213,12 +230,13 @@ class _Collector:
             if self._ignored.match_file(f"{below}/" if is_folder else below):
                 continue
             if is_folder:
+                yield path
                 yield from self._walk(path)
             elif path.is_symlink() or path.is_file():
                 yield path
 
     def _size(self, path: Path) -> int:
-        return 0 if path.is_symlink() and not path.is_file() else path.stat().st_size
+        return path.stat().st_size if path.is_file() else 0
 
     def _problem(self, mount: Mount, what: str, cure: str) -> None:
         self.problems.append(
@@ -240,12 +258,30 @@ def _written(path: PurePosixPath) -> str:
     return str(path) if ".." in path.parts else f"./{path}"
 
 
-def _file(path: Path, *, secret: bool) -> File:
+_FOLDER = File(folder=True, mode=0o755)
+
+
+def _file(path: Path) -> File:
     if path.is_symlink():
         return File(link=str(path.readlink()), mode=0o777)
-    executable = path.stat().st_mode & 0o100
-    mode = 0o755 if executable else 0o644
-    return File(data=path.read_bytes(), mode=mode & 0o700 if secret else mode)
+    mode = path.stat().st_mode
+    if path.is_dir():
+        return File(folder=True, mode=_mode(mode | 0o100) | mode & stat.S_ISVTX)
+    return File(data=path.read_bytes(), mode=_mode(mode))
+
+
+def _mode(mode: int) -> int:
+    """A mode without what depends on the umask of a checkout: private, readable or writable for others; executable or not."""
+    letters = 0o4 if mode & 0o4 else 0
+    if letters and mode & 0o2:
+        letters = 0o6
+    everyone = letters * 0o11 | 0o600
+    return everyone | (everyone & 0o444) >> 2 if mode & 0o100 else everyone
+
+
+def _printable(name: str) -> bool:
+    """Whether a file's name is UTF-8 and one line: lists of names on the robot have one in each line."""
+    return not any(ord(letter) < 0x20 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
 
 
 def _total(here: Path) -> int:

@@ -39,12 +39,16 @@ class Service:
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """A path of the project that a container sees: ``path`` lies below the project's folder (or beside it, ``../x``)."""
+    """A path of the project that a container sees: ``path`` lies below the project's folder (or beside it, ``../x``).
+
+    ``must_exist``: the file says that nobody is to make it (``create_host_path: false``).
+    """
 
     service: str
     path: PurePosixPath
     target: str
     read_only: bool
+    must_exist: bool = False
     kind: Literal["bind", "config", "secret"] = "bind"
 
 
@@ -116,14 +120,19 @@ def _mounts(model: Mapping[str, Any], project: Project) -> Iterable[Mount]:
     for name, service in (model.get("services") or {}).items():
         for volume in service.get("volumes") or ():
             if volume.get("type") == "bind" and (path := project.relative(literal(volume["source"]))):
-                read_only = bool(volume.get("read_only"))
-                yield Mount(service=name, path=path, target=volume["target"], read_only=read_only)
+                yield Mount(
+                    service=name,
+                    path=path,
+                    target=volume["target"],
+                    read_only=bool(volume.get("read_only")),
+                    must_exist=(volume.get("bind") or {}).get("create_host_path") is False,
+                )
         for volume in service.get("volumes") or ():
             named = (model.get("volumes") or {}).get(volume.get("source") or "") or {}
             device = str((named.get("driver_opts") or {}).get("device") or "")
             if volume.get("type") == "volume" and (path := project.relative(literal(device))):
-                read_only = bool(volume.get("read_only"))
-                yield Mount(service=name, path=path, target=volume["target"], read_only=read_only)
+                # Docker keeps a volume as it was made, so its place cannot be a release's.
+                yield Mount(service=name, path=path, target=volume["target"], read_only=False)
         for kind in ("config", "secret"):
             for use in service.get(f"{kind}s") or ():
                 file = (model.get(f"{kind}s") or {}).get(use["source"], {}).get("file")

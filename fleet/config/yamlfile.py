@@ -11,14 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import yaml
 
-if TYPE_CHECKING:
-    from pathlib import Path
+from fleet.units import human_bytes
 
+if TYPE_CHECKING:
     from fleet.errors import UsageError
+
+LARGEST = 1_000_000
+"""Bytes of a file. Two hundred robots have 0.1 MB; a device such as /dev/zero has no end."""
 
 Value = str | int | float | bool | list["Value"] | dict[str, "Value"] | None
 Location = Sequence[str | int]
@@ -121,9 +125,19 @@ def read(path: Path, *, error: type[UsageError], cure: str = "") -> Document:
 
 
 def text(path: Path, *, error: type[UsageError], cure: str = "") -> str:
-    """The text of the file at ``path``; raises ``error`` as `read` does."""
+    """The text of the file at ``path``; raises ``error`` as `read` does, and for a file that is larger than `LARGEST`."""
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        # A shell's `<(...)` is a pipe too, and somebody writes to it.
+        if path.is_fifo() and path.parent != Path("/dev/fd"):
+            raise error(f"{path} is a pipe", cure="name a YAML file")
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise error(
+                f"{path} has more than {human_bytes(LARGEST)}",
+                cure="name a YAML file; 200 robots need 0.1 MB",
+            )
+        return data.decode("utf-8-sig")
     except FileNotFoundError:
         raise error(f"{path}: no such file", cure=cure) from None
     except IsADirectoryError:

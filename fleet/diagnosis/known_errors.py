@@ -99,9 +99,15 @@ KNOWN_ERRORS = (
         "`ls -ld ~` on the robot shows whose it is; `sudo chown $(id -un): ~` gives it to the login",
     ),
     KnownError(
+        r"(?:cannot|can't) .*['\u2018](/\S*/\.fleet/stacks/[^/]+/data/\S*)/[^/]*['\u2019]?: Permission denied",
+        "a file of the project cannot be laid into {0}: a container has made this folder its own",
+        "`sudo chgrp $(id -gn) {0} && sudo chmod g+rwx {0}` on the robot; or mount what the project brings beside it, read-only",
+    ),
+    KnownError(
         r"(?:cannot|can't) (?:create|remove|move) .*'?\.fleet\b.*: Permission denied",
         "something in the robot's ~/.fleet belongs to another user",
-        "`sudo chown -R $(id -un): ~/.fleet` on the robot; Docker creates missing bind-mount folders as root",
+        # What containers have written keeps its owner.
+        "on the robot: `sudo find ~/.fleet -path '*/data' -prune -o -exec chown $(id -un): {{}} +`",
     ),
     # sudo.
     KnownError(
@@ -302,6 +308,10 @@ KNOWN_ERRORS = (
         r"(yaml: .+)|validating \S+: (.+)|(?:parsing \S+: |)(services\.\S+ .+)|(service \"[^\"]+\" .*undefined.*)",
         "the Compose file is not valid: {0}",
         "fix it, then run the same command again",
+        {
+            "ship": "the robot's Compose is older than this computer's, and does not know it: "
+            "leave it out, or install a newer Compose on the robot (`fab status --json` shows the version)"
+        },
     ),
     KnownError(
         r'external volume "([^"]+)" not found',

@@ -19,12 +19,10 @@ launch() { setsid sh "$run/start" "$run" >/dev/null 2>&1 </dev/null & }
 # After a restart of the robot the process's number may be another one's.
 alive() { process=$(cat "$run/process" 2>/dev/null) && grep -qsaF "$run" "/proc/$process/cmdline"; }
 this_boot=$(cat /proc/sys/kernel/random/boot_id 2>/dev/null)
-if problem=$(mkdir "$run" 2>&1); then
-    printf '%s\n' "$this_boot" >"$run/boot"
-    : >"$run/out"
-    printf '%s' "$script" >"$run/script"
-    for word in "$@"; do printf '%s\n' "$word"; done >"$run/arguments"
-    cat >"$run/start" <<'END'
+# All of it, or nothing is started: on a full disk `cat` says so, and the shell's own printf does not.
+prepare() { # ARGUMENT...
+    printf '%s\n' "$this_boot" | cat >"$run/boot" && : >"$run/out" && printf '%s' "$script" | cat >"$run/script" &&
+        for word in "$@"; do printf '%s\n' "$word"; done | cat >"$run/arguments" && cat >"$run/start" <<'END'
 run=$1
 exec 8>>"$run/lock" && flock -n 8 || exit 0
 [ ! -e "$run/code" ] || exit 0
@@ -36,6 +34,13 @@ export FLEET_RUN="${run##*/}"
 sh -c "$(cat "$run/script")" "$@" >"$run/out" 2>"$run/errors" </dev/null 8>&-
 echo $? >"$run/code.new" && mv "$run/code.new" "$run/code"
 END
+}
+if problem=$(mkdir "$run" 2>&1); then
+    if ! problem=$(prepare "$@" 2>&1); then
+        rm -rf "$run"
+        printf 'nothing was started: %s\n' "$problem" >&2
+        exit 1
+    fi
     sync "$run"/* "$run" 2>/dev/null || sync
     launch
 elif [ ! -d "$run" ]; then

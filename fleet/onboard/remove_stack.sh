@@ -9,6 +9,9 @@ flock --wait 240 9
 echo "$by, who runs fab remove" >"$HOME/.fleet/holder"
 # No pipes: if Docker does not answer, nothing is removed.
 containers=$(docker ps --all --quiet --filter "label=com.docker.compose.project=$stack")
+# As long as the file gives them: a recorder that is killed leaves a bag that cannot be read.
+# shellcheck disable=SC2086  # one word per container
+[ -z "$containers" ] || docker stop $containers >/dev/null
 # shellcheck disable=SC2086  # one word per container
 [ -z "$containers" ] || docker rm --force $containers >/dev/null
 networks=$(docker network ls --quiet --filter "label=com.docker.compose.project=$stack")

@@ -14,6 +14,7 @@
 # process, in the same breath as `current`, so that nobody has to be connected to hear it. After a power cut it is run again
 # with the same arguments.
 set -u
+umask 022
 verb=$1 stack=$2 release=$3 seen=$4 by=$5 wait=$6 settle=$7 conflict=$8
 fleet=$HOME/.fleet
 here=$fleet/stacks/$stack
@@ -114,14 +115,31 @@ become_current() {
 digest() {
     if [ -L "$1" ]; then
         readlink "$1" | sha256sum | cut -c1-64
-    elif [ -f "$1" ]; then
+    elif [ -f "$1" ] && [ -r "$1" ]; then
         sha256sum <"$1" | cut -c1-64
+    elif [ -d "$1" ]; then
+        echo folder | sha256sum | cut -c1-64
     elif [ -e "$1" ]; then
         echo other
     fi
 }
 lay() { # FROM TO
-    mkdir -p "${2%/*}" && cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
+    mkdir -p "${2%/*}" || return 1
+    if [ -d "$1" ] && [ ! -L "$1" ]; then
+        rm -f "$2" && mkdir "$2" && chmod --reference="$1" "$2"
+        return
+    fi
+    # A folder that has become a file: what the robot has in it is kept.
+    if [ -d "$2" ] && [ ! -L "$2" ] && ! rmdir "$2" 2>/dev/null; then mv -T --backup=numbered "$2" "$2.from-robot" || return 1; fi
+    cp -P -p "$1" "$2.fleet-part" && durable "$2.fleet-part" && mv -fT "$2.fleet-part" "$2"
+}
+# A folder that a container has closed hides what is in it.
+reachable() { # PATH
+    up=${1%/*}
+    while [ ! -d "$up" ]; do up=${up%/*}; done
+    [ -x "$up" ] && return
+    say "cannot reach '$up/${1##*/}': Permission denied" >&2
+    return 1
 }
 delivered() { path=$1 awk 'substr($0, 66) == ENVIRON["path"] { print substr($0, 1, 64) }' "$here/delivered" 2>/dev/null | tail -n 1; }
 merge_data() {
@@ -129,14 +147,17 @@ merge_data() {
     mkdir -p "$here/data"
     [ -d "$seeds" ] || return 0
     rm -f "$here/delivered.changed"
-    find "$seeds" ! -type d -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
+    find "$seeds" -mindepth 1 -printf '%P\n' | LC_ALL=C sort >"$here/delivered.list"
     : >"$here/delivered.new"
+    kept=/ # a folder in whose place the robot has something else
     while IFS= read -r path; do
+        case $path in "$kept"/*) continue ;; esac
         new=$(digest "$seeds/$path") now=$(digest "$here/data/$path") last=$(delivered "$path")
         entry=$new
         case $now in
             "$new") ;;
             '')
+                [ "$new" = "$last" ] || reachable "$here/data/$path" || return 1
                 # Never delivered: the robot gets it. Delivered, and removed by the robot: it stays removed.
                 if [ -z "$last" ] || { [ "$conflict" = desktop ] && [ "$new" != "$last" ]; }; then
                     lay "$seeds/$path" "$here/data/$path" || return 1
@@ -154,6 +175,7 @@ merge_data() {
                     say "note: $path was changed on the robot too: replaced, the robot's is $path.from-robot"
                 else
                     entry=$last
+                    [ -L "$seeds/$path" ] || [ ! -d "$seeds/$path" ] || kept=$path
                     if [ "$(digest "$here/data/$path.from-desktop")" != "$new" ]; then
                         lay "$seeds/$path" "$here/data/$path.from-desktop" || return 1
                         say "note: $path was changed on the robot too: kept, the new one is $path.from-desktop"
@@ -242,13 +264,16 @@ judge() { # SECONDS
         }'
 }
 
+# Seconds since the boot. The clock of a robot without a battery jumps by months when it finds a time server.
+seconds() { cut -d. -f1 /proc/uptime; }
+
 watch() {
-    began=$(date +%s) most=$wait proved=
+    began=$(seconds) most=$wait proved=
     [ "$settle" -le "$most" ] || most=$settle
     while :; do
         # shellcheck disable=SC2046 # one word per container
         proved="$proved $(check_all $(states | awk -v proved="$proved" '$3 == "running" && $6 == "starting" && !index(proved, $1) { print $1 }') | tr '\n' ' ')"
-        passed=$(($(date +%s) - began))
+        passed=$(($(seconds) - began))
         verdict=$(judge "$passed")
         case $verdict in
             ok)

@@ -6,7 +6,10 @@
 set -e
 umask 022
 part=$1.$$.part
+trap 'rm -rf "$part"' EXIT # a disk that is full gets its room back
 mkdir -p "$part"
+# Secrets are in it. Containers reach what is mounted; other logins do not come in.
+chmod 700 "$part"
 # Whoever removes old releases leaves this one alone until it is started, or for an hour (remove_releases.sh).
 : >"${1%/*}/.shipping-${1##*/}"
 tar -x -p -f - -C "$part"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from fleet.errors import NotReady
+from fleet.errors import Refused
 from fleet.robot.claims import ANY, Port
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def check(release: Release, claims: tuple[Claim, ...]) -> None:
     """Refuse a release that cannot start beside what else is on the robot.
 
     Raises:
-        NotReady: the first such name or port, and who has it.
+        Refused: the first such name or port, and who has it.
 
     """
     others = [claim for claim in claims if claim.project != release.stack]
@@ -28,13 +28,13 @@ def check(release: Release, claims: tuple[Claim, ...]) -> None:
     for service, value in model["services"].items():
         name = value.get("container_name")
         if taken := next((claim for claim in others if claim.name == name), None):
-            raise NotReady(
+            raise Refused(
                 f"service {service} wants the container name {name}, which {_owner(taken)} has",
                 cure=f"change `container_name:` of {service}, or remove the other one: {_removal(taken)}",
             )
         for port in _published(value):
             if taken := next((claim for claim in others if any(map(port.clashes, claim.ports))), None):
-                raise NotReady(
+                raise Refused(
                     f"service {service} wants port {port.number}/{port.protocol} of the robot, which {_owner(taken)} has",
                     cure=f"change `ports:` of {service}, or stop the other one: {_removal(taken)}",
                 )

@@ -113,7 +113,7 @@ def remove(stack: str, *, by: str) -> Step:
     return Step(
         title=f"remove stack {stack}",
         argv=_script("remove_stack.sh", stack, by),
-        limit=TURN + 120.0,
+        limit=TURN + 600.0,  # Docker waits for each container's `stop_grace_period`
         resumes=True,
     )
 

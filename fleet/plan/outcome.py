@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from fleet.errors import Unreachable
+from fleet.errors import Refused, Unreachable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,8 @@ class Outcome:
     """The result for one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
 
     ``transfer`` is how the images were sent, with the reason if an earlier attempt had failed. ``unusable``: the bytes
-    arrived, and the robot's Docker cannot use them; another kind of transfer may help.
+    arrived, and the robot's Docker cannot use them; another kind of transfer may help. ``refused``: what was asked does
+    not fit the robot, and nothing was changed.
     """
 
     robot: str
@@ -33,6 +34,7 @@ class Outcome:
     sent: int = 0
     transfer: str = ""
     unusable: bool = False
+    refused: bool = False
 
     @property
     def good(self) -> bool:
@@ -43,7 +45,8 @@ class Outcome:
 def failure(robot: str, problem: FleetError) -> Outcome:
     """The outcome of a robot whose work ended in an error."""
     status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
-    return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure)
+    refused = isinstance(problem, Refused)
+    return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure, refused=refused)
 
 
 def together(robot: str, outcomes: Sequence[tuple[str, Outcome]]) -> Outcome:
@@ -66,5 +69,9 @@ def together(robot: str, outcomes: Sequence[tuple[str, Outcome]]) -> Outcome:
 
 
 def exit_code(outcomes: tuple[Outcome, ...]) -> int:
-    """0 if every outcome is good, else 1."""
-    return 0 if all(outcome.good for outcome in outcomes) else 1
+    """0 if every outcome is good; 2 if no robot was changed, and what was asked is why; else 1."""
+    bad = [outcome for outcome in outcomes if not outcome.good]
+    if not bad:
+        return 0
+    changed = any(outcome.status == "done" for outcome in outcomes)
+    return 2 if all(outcome.refused for outcome in bad) and not changed else 1

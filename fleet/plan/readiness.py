@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fleet.diagnosis.packages import PACKAGES
-from fleet.errors import NotReady
+from fleet.errors import NotReady, Refused
 from fleet.platforms import NAMES
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def ready(facts: Facts, *, robot: Robot) -> None:
     if not facts.host.platforms:
         raise no_platform(facts)
     if robot.platform not in facts.host.platforms:
-        raise NotReady(
+        raise Refused(
             f"it runs {' and '.join(facts.host.platforms)}, and the inventory says {robot.platform}",
             cure=f"set `platform: {facts.host.platforms[0]}` for {robot.name}",
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fleet.errors import NotReady
+from fleet.errors import NotReady, Refused
 from fleet.plan import claims, compose_steps, hardware, prune
 from fleet.plan.readiness import ready
 from fleet.plan.step import Plan, Step
@@ -115,7 +115,7 @@ def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Reques
         )
     if target not in there.releases:
         cure = f"it has: {', '.join(there.releases) or 'none'}"
-        raise NotReady(f"release {target} is not on this robot", cure=cure)
+        raise Refused(f"release {target} is not on this robot", cure=cure)
     if target == there.current and there.running and not there.journal:
         return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(

@@ -37,8 +37,8 @@ class Release:
     """One robot's release. ``id`` is derived from all the rest: the same content is the same release, anywhere.
 
     ``compose`` is the text of its Compose file, in which `fleet.config.compose.HOME` stands for the login's home.
-    ``empty`` are folders of the project without a file, ``folders`` those of the robot's data that must exist, ``seeds`` the files that it starts with.
-    ``boot`` is who starts it at power-on.
+    ``folders`` are those of the robot's data that must exist, ``seeds`` the files that it starts with. ``boot`` is who starts
+    it at power-on.
     """
 
     id: str
@@ -50,7 +50,6 @@ class Release:
     project: Mapping[str, File] = field(default_factory=dict)
     seeds: Mapping[str, File] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
-    empty: tuple[str, ...] = ()
     boot: Boot = "docker"
 
     def files(self, home: str) -> dict[str, File]:
@@ -71,8 +70,8 @@ class Release:
 
     def checksum(self, home: str) -> str:
         """What the probe says of the folder of this release while all of its files are right."""
-        regular = {name: file.data for name, file in self.files(home).items() if file.link is None}
-        lines = (f"{hashlib.sha256(regular[name]).hexdigest()}  ./{name}\n" for name in _sorted(regular))
+        regular = {name: file.data for name, file in self.files(home).items() if file.regular}
+        lines = (_checksum_line(regular[name], f"./{name}") for name in _sorted(regular))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
     def archive(self, home: str) -> bytes:
@@ -80,15 +79,14 @@ class Release:
         buffer = io.BytesIO()
         files = self.files(home)
         with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-            for folder in sorted({*_folders(files), *(f"project/{name}" for name in self.empty)}):
-                entry = tarfile.TarInfo(folder)
-                entry.type, entry.mode = tarfile.DIRTYPE, 0o755
-                archive.addfile(entry)
-            for name, file in sorted(files.items()):
+            above = dict.fromkeys(_folders(files), File(folder=True, mode=0o755))
+            for name, file in sorted((above | files).items(), key=lambda pair: (not pair[1].folder, pair[0])):
                 entry = tarfile.TarInfo(name)
                 entry.size, entry.mode = len(file.data), file.mode
-                if file.link is not None:
-                    entry.type, entry.linkname, entry.size = tarfile.SYMTYPE, file.link, 0
+                if file.folder:
+                    entry.type = tarfile.DIRTYPE
+                elif file.link is not None:
+                    entry.type, entry.linkname = tarfile.SYMTYPE, file.link
                 archive.addfile(entry, io.BytesIO(file.data))
             end = archive.offset + 2 * tarfile.BLOCKSIZE
         return buffer.getvalue()[:end]  # Python fills it up to 10 kB, for tapes
@@ -101,16 +99,11 @@ def compose(
     project: Project,
     files: ProjectFiles,
     images: Mapping[str, Image],
-    values: Mapping[str, str] | None = None,
     boot: Boot = "docker",
 ) -> Release:
-    """One robot's release of a stack; ``images`` has the local image of each service.
-
-    ``values`` are the robot's variables: configs and secrets that are taken from one become files. ``boot`` says who starts
-    it at power-on.
-    """
+    """One robot's release of a stack; ``images`` has the local image of each service, ``boot`` says who starts it at power-on."""
     rendering = _Rendering(stack, project=project, data=files.data)
-    model = rendering.model(images, values=values or {})
+    model = rendering.model(images)
     if boot == "systemd":
         _leave_to_systemd(model)
     ours = {**files.files, **rendering.files}
@@ -128,7 +121,6 @@ def compose(
         project=ours,
         seeds=files.seeds,
         folders=files.folders,
-        empty=files.empty,
         boot=boot,
     )
 
@@ -147,7 +139,7 @@ def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Im
         ValueError, KeyError, tarfile.TarError: it is not the archive of a release.
 
     """
-    files, folders = _members(data)
+    files = _members(data)
     text = files["compose.yaml"].data.decode()
     policies = (line.partition("=") for line in files["services"].data.decode().splitlines())
     model = json.loads(text)["services"]
@@ -155,7 +147,6 @@ def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Im
         service: Service(name=service, image=model[service]["image"], restart=_policy(policy))
         for service, _, policy in policies
     }
-    above = set(_folders(files))
     return Release(
         id=name,
         stack=stack,
@@ -166,15 +157,13 @@ def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Im
         project=_below("project/", files),
         seeds=_below("seeds/", files),
         folders=tuple(files["data-folders"].data.decode().splitlines()),
-        empty=tuple(name.removeprefix("project/") for name in folders if name not in above),
         boot="systemd" if "boot" in files else "docker",
     )
 
 
-def _members(data: bytes) -> tuple[dict[str, File], list[str]]:
-    """The files of an archive, and its folders."""
+def _members(data: bytes) -> dict[str, File]:
+    """The files and folders of an archive."""
     files: dict[str, File] = {}
-    folders: list[str] = []
     with tarfile.open(fileobj=io.BytesIO(data)) as archive:
         for member in archive:
             if ".." in PurePosixPath(member.name).parts or member.name.startswith("/"):
@@ -185,8 +174,10 @@ def _members(data: bytes) -> tuple[dict[str, File], list[str]]:
             elif member.issym():
                 files[member.name] = File(link=member.linkname, mode=member.mode)
             else:
-                folders.append(member.name)
-    return files, folders
+                files[member.name] = File(folder=True, mode=member.mode)
+    # `Release.archive` adds these.
+    implied = dict.fromkeys(_folders(files), File(folder=True, mode=0o755))
+    return {name: file for name, file in files.items() if implied.get(name) != file}
 
 
 def _below(folder: str, files: Mapping[str, File]) -> dict[str, File]:
@@ -225,7 +216,7 @@ class _Rendering:
         self._data = data
         self._stacks_folder = f"{HOME}/{paths.stack(stack.name)}"
 
-    def model(self, images: Mapping[str, Image], *, values: Mapping[str, str]) -> dict[str, Any]:
+    def model(self, images: Mapping[str, Image]) -> dict[str, Any]:
         """The whole model; files that it needs beside those of the project go to ``files``."""
         source = json.loads(json.dumps(self._stack.model))
         model = {key: value for key, value in source.items() if not key.startswith("x-") and value}
@@ -238,7 +229,7 @@ class _Rendering:
                 options["device"] = self._moved(options["device"])
         for kind in ("configs", "secrets"):
             for name, one in (model.get(kind) or {}).items():
-                model[kind][name] = self._given(kind, name, one, values)
+                model[kind][name] = self._given(kind, name, one)
         # What is left of the project's folder came from `${PWD}`: it differs in each run.
         place = f"{self._stacks_folder}/releases/{_ID}/project"
         moved: dict[str, Any] = _replaced(model, old=str(self._project.folder), new=place)
@@ -274,17 +265,16 @@ class _Rendering:
         whole = str(PurePosixPath(self._stacks_folder) / place / name)
         return whole.replace("$", "$$")
 
-    def _given(self, kind: str, name: str, one: Any, values: Mapping[str, str]) -> Any:  # noqa: ANN401  a model's value
+    def _given(self, kind: str, name: str, one: Any) -> Any:  # noqa: ANN401  a model's value
         """A config or a secret as a file: what old versions of Compose do not know becomes one."""
         if not isinstance(one, dict):
             return one
         rest = {key: value for key, value in one.items() if key not in ("file", "content", "environment")}
         if "file" in one:
             return {**rest, "file": self._moved(one["file"])}
-        if "content" in one or "environment" in one:
-            text = literal(one["content"]) if "content" in one else values.get(one["environment"], "")
+        if "content" in one:
             inside = f"{kind}/{name}"
-            self.files[inside] = File(data=text.encode(), mode=0o600 if kind == "secrets" else 0o644)
+            self.files[inside] = File(data=literal(one["content"]).encode())
             folder = PurePosixPath(self._stacks_folder) / "releases" / _ID / "project"
             return {**rest, "file": str(folder / inside)}
         return one
@@ -344,6 +334,12 @@ def _text(model: Mapping[str, Any]) -> str:
 
 def _must_run(services: Mapping[str, Service]) -> list[Service]:
     return [service for service in services.values() if service.replicas > 0]
+
+
+def _checksum_line(data: bytes, name: str) -> str:
+    """What ``sha256sum`` prints of a file: a backslash in its name is doubled, and another one begins the line."""
+    escaped = name.replace("\\", r"\\")
+    return f"{chr(92) if escaped != name else ''}{hashlib.sha256(data).hexdigest()}  {escaped}\n"
 
 
 def _sorted(names: Mapping[str, Any]) -> list[str]:

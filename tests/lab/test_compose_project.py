@@ -47,10 +47,15 @@ services:
     healthcheck: {test: ["CMD", "true"], interval: 5s, start_period: 20s, start_interval: 100ms}
     extra_hosts: ["base:10.0.0.1"]
     configs: [{source: site, target: /etc/site.conf}]
+    secrets: [token]
+    user: "1001"
+    volumes: ["./logs:/logs", "./config:/config:ro"]
   setup:
     image: ${IMAGE}
     command: ["true"]
     restart: "no"
+secrets:
+  token: {file: ./config/token}
 configs:
   site: {file: ./config/site.conf}
 volumes:
@@ -63,6 +68,9 @@ volumes:
     "node.env": "# values\nGREETING=hello there\nQUOTED='single'\n",
     "config/driver.yaml": "port: /dev/ttyUSB0\n",
     "config/site.conf": "listen 80\n",
+    "config/token": "t0ken\n",
+    "config/key": "private\n",
+    "config/odd/-rf \\ $HOME": "odd\n",
 }
 
 
@@ -79,6 +87,10 @@ def project(provisioned: Lab, images: None, tmp_path: Path) -> Project:  # noqa:
     made = Project.made(tmp_path, provisioned)
     for name, text in FILES.items():
         made.write(f"rover/{name}", text)
+    for name, mode in {"logs": 0o777, "config/empty/deep": 0o755, "config/shut": 0o700}.items():
+        (tmp_path / "rover" / name).mkdir(parents=True)
+        (tmp_path / "rover" / name).chmod(mode)
+    (tmp_path / "rover/config/key").chmod(0o600)
     inventory = json.loads((tmp_path / "inventory.yaml").read_text())
     inventory["stack"] = "rover/compose.yaml"
     inventory["groups"]["seen"] = {"robots": ["pi1"], "environment": {"COMPOSE_PROFILES": "viz"}}
@@ -99,8 +111,13 @@ def test_containers_are_those_of_compose(project: Project, pi: Pi) -> None:
     assert (
         asked(pi, f"docker exec {name_of(pi, 'web')} cat /etc/site.conf") == FILES["config/site.conf"].strip()
     )
+    web = name_of(pi, "web")
+    seen = listing(pi, asked(pi, f"docker inspect --format '/proc/{{{{.State.Pid}}}}/root' {web}"))
+    assert "./config/empty/deep d 755 1000" in seen
+    assert asked(pi, f"docker exec {web} cat /run/secrets/token") == FILES["config/token"].strip()
     by_hand(project, pi, image=shipped["web"]["Config"]["Image"])
     expected = inspected(pi, "byhand")
+    assert listing(pi, "/home/pi/rover") == seen
     asked(
         pi,
         "docker ps -aq --filter label=com.docker.compose.project=byhand | xargs docker rm --force --volumes",
@@ -125,7 +142,7 @@ def by_hand(project: Project, pi: Pi, *, image: str) -> None:
         pi.container,
         "sh",
         "-c",
-        "mkdir -p ~/rover && tar -x -C ~/rover",
+        "mkdir -p ~/rover && tar -x -p -C ~/rover",
     )
     subprocess.run(unpack, input=archive, check=True)
     asked(pi, f"docker tag {image} {TINY}")
@@ -143,6 +160,11 @@ def inspected(pi: Pi, stack: str) -> dict[str, Any]:
     listing = f"docker ps -aq --filter label=com.docker.compose.project={stack} | xargs docker inspect"
     containers = json.loads(asked(pi, listing))
     return {one["Config"]["Labels"]["com.docker.compose.service"]: one for one in containers}
+
+
+def listing(pi: Pi, folder: str) -> list[str]:
+    """Name, kind, mode and owner of what web mounts, in a folder or in a container's own view."""
+    return sorted(asked(pi, f"cd {folder} && find ./config ./logs -printf '%p %y %m %U\\n'").splitlines())
 
 
 def name_of(pi: Pi, service: str) -> str:

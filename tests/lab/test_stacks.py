@@ -113,5 +113,5 @@ def test_one_computer_is_one_robot(project: Project, pi: Pi) -> None:
     project.well("ship", "--hosts", "pi1")
     project.well("trust", "--yes", "--inventory", str(also))
     said = project.fab("ship", "--hosts", "twin", "--inventory", str(also))
-    assert said.code == 1
+    assert said.code == 2
     assert "was shipped to as pi1, and the inventory calls it twin" in said.all

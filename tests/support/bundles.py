@@ -29,10 +29,11 @@ FILES = ProjectFiles(
         "config/a.yaml": File(data=b"a"),
         "config/link": File(link="a.yaml"),
         "run": File(data=b"#!", mode=0o755),
+        "nothing": File(folder=True, mode=0o755),
+        "open": File(folder=True, mode=0o777),
     },
     seeds={"maps/home": File(data=b"map")},
     folders=("maps", "logs"),
-    empty=("nothing",),
 )
 ROBOT = PI.model_copy(update={"platform": "linux/amd64", "user": None})
 

@@ -67,7 +67,7 @@ READS_FILES = {
         "config.project_files",
         "config.yamlfile",
     ),
-    *("config.docker_rules", "robot.release"),
+    *("config.compose_wording", "config.docker_rules", "robot.release"),
 }
 
 EFFECTS = {

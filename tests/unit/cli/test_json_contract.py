@@ -77,7 +77,7 @@ INVENTORY = {
 }
 OUTCOME = {
     *("robot", "status", "summary", "step", "reason", "cure"),
-    *("seconds", "sent", "transfer", "unusable"),
+    *("seconds", "sent", "transfer", "unusable", "refused"),
 }
 STEP = {
     *("title", "argv", "feed", "feed.label", "feed.data", "expect", "cure", "limit"),

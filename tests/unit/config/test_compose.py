@@ -370,3 +370,26 @@ def test_an_empty_and_a_missing_file(tmp_path: Path) -> None:
     assert refusal(tmp_path, "") == "P/compose.yaml is empty"
     with pytest.raises(ComposeError, match="no such file; `stack:` in the inventory names the Compose file"):
         resolved(tmp_path, named=("gone.yaml",))
+
+
+USES = "services: {a: {image: x, secrets: [token], configs: [conf]}}\n"
+GIVEN = "secrets:\n  token: {environment: TOKEN}\nconfigs:\n  conf: {environment: CONF}\n"
+
+
+@pytest.mark.parametrize("file", ["compose.yaml", "robot.yaml"])
+def test_secrets_and_configs_from_variables(tmp_path: Path, file: str) -> None:
+    """Of the robot, or of the project's `.env`; as Compose reads them, byte for byte."""
+    text = f"name: n\n{USES}{GIVEN}"
+    write(tmp_path, {file: text, ".env": "TOKEN='a$b \"c\"'\nCONF=from-env\n"})
+    model = resolved(tmp_path, {"CONF": "two\nlines ${x}"}, named=(file,)).model
+    assert model["secrets"]["token"]["content"] == 'a$$b "c"'
+    assert model["configs"]["conf"]["content"] == "two\nlines $${x}"
+    assert resolved(tmp_path, {"CONF": ""}, named=(file,)).model["configs"]["conf"]["content"] == ""
+
+
+def test_a_secret_whose_variable_is_not_set(tmp_path: Path) -> None:
+    """A robot would start with an empty password. One that no service uses may stay unset."""
+    cure = "set it under `environment:` of the robot in the inventory, or in the project's .env"
+    what = "P/compose.yaml:3: secrets.token: the variable TOKEN is not set"
+    assert refusal(tmp_path, USES + GIVEN, CONF="c") == f"{what}; {cure}"
+    assert services(tmp_path, ONE + GIVEN)

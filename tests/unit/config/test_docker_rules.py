@@ -28,6 +28,18 @@ def check(folder: Path, text: str) -> None:
             "image: x\n    restart: sometimes",
             "compose.yaml:4: services.node.restart: 'sometimes' is not a restart policy",
         ),
+        (
+            "provider: {type: cloud}",
+            "compose.yaml:3: services.node.provider: robots have no program that provides a service",
+        ),
+        (
+            "image: x\n    volumes: ['w:/w:ro']",
+            "compose.yaml:4: services.node.volumes: 'ro' is not a path in a container",
+        ),
+        (
+            "image: x\n    volumes: [{type: image, source: y, target: /y}]",
+            "compose.yaml:4: services.node.volumes: fleet cannot bring a volume of the type image to a robot",
+        ),
     ],
 )
 def test_what_only_docker_would_refuse_is_refused_here(tmp_path: Path, text: str, what: str) -> None:

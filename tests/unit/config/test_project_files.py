@@ -24,6 +24,9 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
+FOLDER = File(folder=True, mode=0o755)
+
+
 def mount(
     path: str, target: str = "/there", *, read_only: bool = False, kind: Literal["bind", "config", "secret"] = "bind"
 ) -> Mount:  # fmt: skip
@@ -81,7 +84,10 @@ def test_a_folder_goes_whole(folder: Path) -> None:
     (folder / "config/run").chmod(0o755)
     (folder / "config/link").symlink_to("sub/a")
     (folder / "config/dangling").symlink_to("/nowhere")
+    (folder / "config/sub").chmod(0o775)
     files = {
+        "config": FOLDER,
+        "config/sub": FOLDER,
         "config/sub/a": File(data=b"a"),
         "config/run": File(data=b"#!", mode=0o755),
         "config/link": File(link="sub/a", mode=0o777),
@@ -95,14 +101,22 @@ def test_a_folder_goes_whole(folder: Path) -> None:
 def test_an_empty_folder(folder: Path) -> None:
     """It is the robot's data if it is written."""
     (folder / "maps").mkdir()
-    assert collected(folder, mount("maps")).folders == ("maps",)
+    (folder / "maps/deep").mkdir()
+    found = collected(folder, mount("maps"))
+    assert (found.folders, found.seeds) == (("maps",), {"maps": FOLDER, "maps/deep": FOLDER})
+    assert collected(folder, mount("maps", read_only=True)).files == found.seeds
 
 
 def test_the_whole_project(folder: Path) -> None:
     """``.:/ws`` is legal; paths have no dot in them."""
     (folder / "src").mkdir()
     (folder / "src/a.py").write_text("a")
-    assert set(collected(folder, mount(".", read_only=True)).files) == {"compose.yaml", "src/a.py"}
+    assert set(collected(folder, mount(".", read_only=True)).files) == {
+        ".",
+        "compose.yaml",
+        "src",
+        "src/a.py",
+    }
 
 
 def test_a_link_that_is_mounted_is_followed(folder: Path) -> None:
@@ -120,41 +134,66 @@ def test_who_reads_what_another_writes_sees_the_same(folder: Path) -> None:
     found = collected(
         folder, mount("maps/house", read_only=True), mount("maps"), mount("other", read_only=True)
     )
-    assert found.seeds == {"maps/house": File(data=b"a")}
+    assert found.seeds == {"maps": FOLDER, "maps/house": File(data=b"a")}
     assert found.files == {"other": File(data=b"b")}
     assert found.data == {"maps", "maps/house"}
 
 
-def test_secrets_are_for_the_login_only(folder: Path) -> None:
-    """A config is for all; a secret keeps its executable bit but no group's."""
-    for name in ("key", "conf", "tool"):
-        (folder / name).write_text(name)
-        (folder / name).chmod(0o644)
-    (folder / "tool").chmod(0o755)
-    found = collected(
-        folder, mount("key", kind="secret"), mount("conf", kind="config"), mount("tool", kind="secret")
-    )
-    assert {name: file.mode for name, file in found.files.items()} == {
-        "key": 0o600,
-        "conf": 0o644,
-        "tool": 0o700,
-    }
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_a_secret_that_is_mounted_too_stays_a_secret(folder: Path, order: int) -> None:
-    """Whichever comes first in the file."""
-    (folder / "key").write_text("key")
-    found = collected(folder, *[mount("key", kind="secret"), mount("key", read_only=True)][::order])
-    assert found.files["key"].mode == 0o600
-
-
-def test_modes_are_the_same_on_every_desktop(folder: Path) -> None:
-    """A umask changes no release."""
+@pytest.mark.parametrize(
+    ("here", "travels"),
+    [
+        (0o664, 0o644),
+        (0o640, 0o600),
+        (0o400, 0o600),
+        (0o500, 0o700),
+        (0o775, 0o755),
+        (0o666, 0o666),
+        (0o777, 0o777),
+        (0o4755, 0o755),
+    ],
+)
+def test_modes_of_files(folder: Path, here: int, travels: int) -> None:
+    """A umask that differs in the group's letters changes no release; a key that only its owner reads stays one."""
     (folder / "a").write_text("a")
-    (folder / "a").chmod(0o664)
-    assert collected(folder, mount("a", read_only=True)).files["a"].mode == 0o644
-    assert File(data=b"a").digest != File(data=b"a", mode=0o755).digest != File(link="a").digest
+    (folder / "a").chmod(here)
+    for one in (mount("a", read_only=True), mount("a", kind="secret")):
+        assert oct(collected(folder, one).files["a"].mode) == oct(travels)
+
+
+@pytest.mark.parametrize(
+    ("here", "travels"), [(0o775, 0o755), (0o750, 0o700), (0o777, 0o777), (0o1777, 0o1777)]
+)
+def test_modes_of_folders(folder: Path, here: int, travels: int) -> None:
+    """One that is open to all is open on the robot: a container that is not root writes to it."""
+    (folder / "logs").mkdir()
+    (folder / "logs").chmod(here)
+    assert oct(collected(folder, mount("logs")).seeds["logs"].mode) == oct(travels)
+
+
+def test_a_digest_is_that_of_all() -> None:
+    """Bytes, mode, kind."""
+    different = File(data=b"a"), File(data=b"a", mode=0o755), File(link="a"), File(folder=True)
+    assert len({file.digest for file in different}) == len(different)
+
+
+@pytest.mark.parametrize("name", [b"caf\xe9.pgm", b"two\nlines", b"bell\a"])
+def test_a_name_that_cannot_travel(folder: Path, name: bytes) -> None:
+    """Lists of names, on the robot and here, have one in each line, and are UTF-8. Other odd names are fine."""
+    (folder / "maps").mkdir()
+    for odd in ("back\\slash", "-rf", " a b ", "$HOME"):
+        (folder / "maps" / odd).write_text("")
+    Path(os.fsdecode(os.fsencode(folder) + b"/maps/" + name)).write_text("")
+    (problem,) = problems(folder, mount("maps"), lines=["maps"])
+    assert problem.startswith("P/compose.yaml:1: services.node: ./maps has a name that cannot travel: '")
+    assert problem.endswith("; rename it, or name it in .fleetignore")
+    assert problem.isascii()
+
+
+def test_nobody_makes_what_must_exist(folder: Path) -> None:
+    """``create_host_path: false`` is there so that a typing error is no empty folder."""
+    must = Mount(service="node", path=PurePosixPath("maps"), target="/maps", read_only=False, must_exist=True)
+    what = "./maps is not there, and `create_host_path: false` says that it must be; make it here, or remove that line"
+    assert problems(folder, must, lines=["maps"]) == [f"P/compose.yaml:1: services.node: {what}"]
 
 
 def test_what_stays_here(folder: Path) -> None:
@@ -164,7 +203,7 @@ def test_what_stays_here(folder: Path) -> None:
         (folder / name).write_text(name)
     (folder / ".fleetignore").write_text("# bags\n*.bak\n.git/\n!keep.bak\n")
     found = collected(folder, mount("config", read_only=True))
-    assert set(found.files) == {"config/a.yaml", "config/keep.bak"}
+    assert set(found.files) == {"config", "config/a.yaml", "config/keep.bak"}
 
 
 @pytest.mark.parametrize("name", ["a$b", "ä ö", "it's", 'say "hi"', "a\\b"])
@@ -178,7 +217,7 @@ def test_a_file_in_a_folder_of_a_name_that_begins_with_a_dot(folder: Path) -> No
     """The dot is a part of the name."""
     (folder / ".hidden").mkdir()
     (folder / ".hidden/.a").write_text("a")
-    assert set(collected(folder, mount(".hidden", read_only=True)).files) == {".hidden/.a"}
+    assert set(collected(folder, mount(".hidden", read_only=True)).files) == {".hidden", ".hidden/.a"}
 
 
 # --- Refused
@@ -205,7 +244,7 @@ def test_what_is_ignored_is_not_too_large(folder: Path, monkeypatch: pytest.Monk
     (folder / "config").mkdir()
     (folder / "config/x.bag").write_bytes(bytes(5000))
     (folder / ".fleetignore").write_text("*.bag\n")
-    assert collected(folder, mount("config")).seeds == {}
+    assert collected(folder, mount("config")).seeds == {"config": FOLDER}
 
 
 def test_every_problem_at_once(folder: Path) -> None:
@@ -246,7 +285,7 @@ def test_a_fifo_in_a_folder_is_passed_over(folder: Path) -> None:
     (folder / "run").mkdir()
     os.mkfifo(folder / "run/pipe")
     (folder / "run/a").write_text("a")
-    assert set(collected(folder, mount("run", read_only=True)).files) == {"run/a"}
+    assert set(collected(folder, mount("run", read_only=True)).files) == {"run", "run/a"}
 
 
 def test_a_link_out_of_the_project(folder: Path) -> None:
@@ -264,7 +303,7 @@ def test_outside_where_the_inventory_allows_it(folder: Path) -> None:
     (folder.parent / "shared").mkdir()
     (folder.parent / "shared/a").write_text("a")
     found = collected(folder, mount("../shared", read_only=True), allowed=[folder.parent / "shared"])
-    assert found.files == {"_up/shared/a": File(data=b"a")}
+    assert found.files == {"_up/shared": FOLDER, "_up/shared/a": File(data=b"a")}
     other = problems(folder, mount("../shared", read_only=True), allowed=[folder.parent / "sha"])
     assert len(other) == 1
 

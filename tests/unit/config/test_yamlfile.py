@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -168,6 +169,20 @@ def test_folder(tmp_path: Path) -> None:
     """A directory is refused as one."""
     with pytest.raises(ComposeError, match="is a directory; name a YAML file"):
         yamlfile.read(tmp_path, error=ComposeError)
+
+
+def test_what_has_no_end(tmp_path: Path) -> None:
+    """A device, and a pipe that nobody writes to; but a shell's own pipe is read."""
+    with pytest.raises(ComposeError, match=r"/dev/zero has more than 1\.0 MB; name a YAML file"):
+        yamlfile.read(Path("/dev/zero"), error=ComposeError)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ComposeError, match="pipe is a pipe; name a YAML file"):
+        yamlfile.read(tmp_path / "pipe", error=ComposeError)
+    reader, writer = os.pipe()
+    os.write(writer, b"a: 1")
+    os.close(writer)
+    assert yamlfile.text(Path(f"/dev/fd/{reader}"), error=ComposeError) == "a: 1"
+    os.close(reader)
 
 
 def test_unreadable(path: Path) -> None:

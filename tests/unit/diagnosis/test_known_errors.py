@@ -33,7 +33,15 @@ HEARD = [
     (
         "mkdir: cannot create directory '.fleet/releases/4b116d72170f.513.part': Permission denied",
         "something in the robot's ~/.fleet belongs to another user",
-        "sudo chown",
+        "sudo find ~/.fleet -path '*/data' -prune",
+    ),
+    *(
+        (
+            f"the robot's data cannot be written: {what} '/home/pi/.fleet/stacks/own/data/cfg/tune.yaml': Permission denied",
+            "a file of the project cannot be laid into /home/pi/.fleet/stacks/own/data/cfg: a container has made this folder its own",
+            "sudo chgrp $(id -gn) /home/pi/.fleet/stacks/own/data/cfg && sudo chmod g+rwx",
+        )
+        for what in ("cp: cannot create regular file", "cannot reach")
     ),
     ("tim@desktop is shipping to this robot", "tim@desktop is shipping to this robot now", "wait until"),
     (
@@ -407,7 +415,7 @@ HEARD = [
     (
         "sh: 1: cannot create .fleet/history: Permission denied",  # dash
         "something in the robot's ~/.fleet belongs to another user",
-        "sudo chown -R",
+        "-exec chown $(id -un): {} +",
     ),
     (
         "failed to start daemon: error initializing graphdriver: driver not supported: foo",

@@ -182,3 +182,23 @@ def test_old_runs_are_removed(robot: Attendants) -> None:
         os.utime(robot.runs / name, (past, past))
     robot.run("true")
     assert sorted(path.name for path in robot.runs.iterdir()) == ["run.1", "young"]
+
+
+def test_a_full_disk_is_told_at_once_and_nothing_is_started(robot: Attendants) -> None:
+    """A script of which a half was written would not end, and nobody would know why."""
+    if (robot.home.parent / "bin/sh").resolve().name == "busybox":
+        pytest.skip("it has a cat of its own, in which no error can be injected")
+    cat = robot.home.parent / "bin/cat"
+    cat.write_text(
+        "#!/bin/sh\n"
+        "case $(readlink /proc/$$/fd/1) in\n"
+        "    */runs/*) echo 'cat: write error: No space left on device' >&2 && exit 1 ;;\n"
+        "esac\n"
+        'exec /bin/cat "$@"\n'
+    )
+    cat.chmod(0o755)
+    what = "nothing was started: cat: write error: No space left on device\n"
+    assert robot.run("touch begun") == (1, "", what)
+    assert list(robot.runs.iterdir()) == []
+    cat.unlink()
+    assert robot.run("echo well") == (0, "well\n", "")

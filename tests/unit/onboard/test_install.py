@@ -140,7 +140,9 @@ def test_the_release_is_written_as_ship_writes_it(home: Path) -> None:
     folder = home / ".fleet/stacks/talker/releases" / wanted.id
     for name, file in wanted.files(str(home)).items():
         path = folder / name
-        if file.link is None:
+        if file.folder:
+            assert path.stat().st_mode & 0o777 == file.mode, name
+        elif file.link is None:
             assert (path.read_bytes(), path.stat().st_mode & 0o777) == (file.data, file.mode), name
         else:
             assert str(path.readlink()) == file.link

@@ -100,7 +100,11 @@ class Robot:
         for path, text in (seeds or {}).items():
             seed = folder / "seeds" / path
             seed.parent.mkdir(parents=True, exist_ok=True)
-            seed.write_text(text)
+            if path.endswith("/"):  # a folder, and its mode
+                seed.mkdir()
+                seed.chmod(int(text, 8))
+            else:
+                seed.write_text(text)
 
     def argv(
         self,
@@ -669,4 +673,67 @@ def test_it_starts_from_anywhere_and_reads_no_variables(robot: Robot) -> None:
     }
     done = subprocess.run(robot.argv("one"), env=environment, cwd="/", check=False, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
+    assert robot.containers() == {"node": "one running"}
+
+
+def test_folders_of_data_come_with_their_modes(robot: Robot) -> None:
+    """Empty ones too; one that is there stays as it is, and one that the robot has removed stays removed."""
+    folders = {"logs/": "777", "logs/deep/": "700", "logs/gone/": "755"}
+    robot.release("one", seeds=folders)
+    robot.release("two", seeds=folders, more={"environment": {"X": "2"}})
+    assert robot.swap("one").returncode == 0
+    logs = robot.data / "logs"
+    assert [oct((logs / name).stat().st_mode & 0o777) for name in (".", "deep", "gone")] == ["0o777", "0o700", "0o755"]  # fmt: skip
+    (logs / "deep").chmod(0o711)
+    (logs / "gone").rmdir()
+    assert robot.swap("two").returncode == 0
+    assert (oct((logs / "deep").stat().st_mode & 0o777), (logs / "gone").exists()) == ("0o711", False)
+
+
+def test_a_file_becomes_a_folder_and_a_folder_a_file(robot: Robot) -> None:
+    """The robot's own files stay, whatever the project makes of their place."""
+    robot.release("one", seeds={"a": "file", "b/": "755", "b/x": "x", "c": "file"})
+    robot.release("two", seeds={"a/": "755", "a/x": "new", "b": "file", "c/": "755", "c/x": "new"})
+    assert robot.swap("one").returncode == 0
+    (robot.data / "b/own").write_text("own")
+    (robot.data / "c").write_text("own")
+    done = robot.swap("two")
+    assert done.returncode == 0, done.stderr
+    assert (robot.data / "a/x").read_text() == "new"
+    assert (robot.data / "b").read_text() == "file"
+    assert {path.name for path in (robot.data / "b.from-robot").iterdir()} == {"x", "own"}
+    assert (robot.data / "c").read_text() == "own"
+    assert "note: c was changed on the robot too: kept, the new one is c.from-desktop" in done.stdout
+
+
+@pytest.mark.parametrize("jump", ["+3 years", "-3 years"])
+def test_the_clock_jumps_in_a_swap(robot: Robot, jump: str) -> None:
+    """As on a robot without a battery that finds a time server: the release is neither too late nor watched for ever."""
+    date = robot.home.parent / "bin/date"
+    date.write_text(
+        f'#!/bin/sh\n[ -e {date}.once ] && exec {shutil.which("date")} -d \'{jump}\' "$@"\n: >{date}.once\nexec {shutil.which("date")} "$@"\n'
+    )
+    date.chmod(0o755)
+    robot.release("one")
+    began = time.monotonic()
+    done = robot.swap("one", settle=2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 2 <= time.monotonic() - began < 40
+
+
+def test_a_folder_that_a_container_has_closed(robot: Robot) -> None:
+    """What is in it was not removed, it is out of sight: a changed file cannot be laid there, and that is said."""
+    if os.geteuid() == 0:
+        pytest.skip("root sees all")
+    robot.release("one", seeds={"cfg/tune.yaml": "1"})
+    robot.release("two", seeds={"cfg/tune.yaml": "2"})
+    assert robot.swap("one").returncode == 0
+    (robot.data / "cfg").chmod(0)
+    again, other = robot.swap("one"), robot.swap("two")
+    (robot.data / "cfg").chmod(0o755)
+    assert (again.returncode, other.returncode) == (0, 1)
+    what = (
+        f"the robot's data cannot be written: cannot reach '{robot.data}/cfg/tune.yaml': Permission denied\n"
+    )
+    assert other.stderr.startswith(what)
     assert robot.containers() == {"node": "one running"}

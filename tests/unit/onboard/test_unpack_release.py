@@ -20,9 +20,10 @@ FILES = ProjectFiles(
         "token": File(data=b"secret", mode=0o600),
         "odd/it's $HOME `x`.yaml": File(data=b"42"),
         "link": File(link="config/nav.yaml"),
+        "hollow": File(folder=True, mode=0o700),
+        "hollow/shared": File(folder=True, mode=0o1777),
     },
     seeds={"maps/home.pgm": File(data=b"P5")},
-    empty=("hollow",),
 )
 
 
@@ -41,7 +42,7 @@ def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
 
 def whole(new: Release) -> dict[str, tuple[int, bytes]]:
     """What `tree` says of a release that has arrived."""
-    return {name: (file.mode, file.data) for name, file in new.files(HOME).items() if file.link is None}
+    return {name: (file.mode, file.data) for name, file in new.files(HOME).items() if file.regular}
 
 
 def test_a_release_arrives_with_its_bytes_modes_and_links(home: Path, new: Release) -> None:
@@ -52,7 +53,10 @@ def test_a_release_arrives_with_its_bytes_modes_and_links(home: Path, new: Relea
     assert tree(folder) == whole(new)
     assert tree(folder)["compose.yaml"][0] == tree(folder)["project/token"][0] == 0o600
     assert (folder / "project/link").readlink() == Path("config/nav.yaml")
-    assert list((folder / "project/hollow").iterdir()) == []
+    modes = [
+        (folder / name).stat().st_mode & 0o7777 for name in (".", "project/hollow", "project/hollow/shared")
+    ]
+    assert modes == [0o700, 0o700, 0o1777]  # other logins see nothing of it, secrets least of all
 
 
 def test_writing_a_release_again_leaves_its_files_in_place(home: Path, new: Release) -> None:
@@ -93,6 +97,7 @@ def test_an_archive_that_was_cut_replaces_nothing(home: Path, new: Release, part
         half = Step(title="", argv=step.argv, feed=Bytes(label="", data=step.feed.data[:cut]))
         assert do(half, home).returncode != 0
         assert tree(folder) == before
+        assert list(folder.parent.glob("*.part")) == []  # a full disk has no room for litter
 
 
 def test_the_last_file_of_a_release_is_the_one_that_is_looked_for(new: Release) -> None:
