@@ -6,9 +6,11 @@ import sys
 
 from fleet.cli import (
     build,
+    card,
     completions,
     console,
     deploy,
+    find,
     lab,
     observe,
     overview,
@@ -54,7 +56,9 @@ def completion(shell: str = "", install: bool = False, names: str = "", inventor
 
 
 ns = verb.collection(
-    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS), default=help_, lab=lab.VERBS
+    (completion, *project.VERBS, *card.VERBS, *find.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS),
+    default=help_,
+    lab=lab.VERBS,
 )
 
 
