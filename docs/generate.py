@@ -107,7 +107,7 @@ All keys, from [`inventory.schema.json`](../../inventory.schema.json). The comme
 [`inventory.yaml`](../../inventory.yaml). `fab inventory` shows the values that each robot ends up with.
 
 Paths are relative to the inventory file. A robot gets the values of `defaults`, then those of its groups in the order of
-the file, then its own. Later values win; `ros`, `docker`, `environment` and `files` are merged key by key,
+the file, then its own. Later values win; `ros`, `docker`, `card`, `environment` and `files` are merged key by key,
 `hardware` adds up, `stack` and `pass_environment` are replaced as a whole.
 """,
         "## The file\n\n" + _table(schema["properties"], required=schema.get("required", [])),

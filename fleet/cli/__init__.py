@@ -7,9 +7,11 @@ import sys
 from fleet.cli import (
     build,
     bundle,
+    card,
     completions,
     console,
     deploy,
+    find,
     lab,
     observe,
     overview,
@@ -55,7 +57,16 @@ def completion(shell: str = "", install: bool = False, names: str = "", inventor
 
 
 ns = verb.collection(
-    (completion, *project.VERBS, *observe.VERBS, *build.VERBS, *deploy.VERBS, *bundle.VERBS),
+    (
+        completion,
+        *project.VERBS,
+        *card.VERBS,
+        *find.VERBS,
+        *observe.VERBS,
+        *build.VERBS,
+        *deploy.VERBS,
+        *bundle.VERBS,
+    ),
     default=help_,
     lab=lab.VERBS,
 )

@@ -53,7 +53,7 @@ def bundle(
     inventory: str = "",
     stack: str = "",
 ) -> None:
-    """Write releases to a USB stick, for robots that no link reaches.
+    """Write releases to a USB stick, for robots without a link.
 
     On the robot, `sh install` in the folder of the stick does what `fab ship` does over SSH. Each layer is written once
     for all robots. A second run writes only what is new. `fab ship --from` ships what a bundle holds.

@@ -188,6 +188,30 @@ class Screen:
         except EOFError:
             return default
 
+    @property
+    def interactive(self) -> bool:
+        """Whether a person can answer."""
+        return sys.stdin.isatty()
+
+    def secret(self, question: str) -> str:
+        """Ask for a line that is not shown. Without a terminal it is empty."""
+        if not self.interactive:
+            return ""
+        try:
+            return self.err.input(_text(f"{question} "), password=True)
+        except EOFError:
+            return ""
+
+    def pause(self, text: str) -> bool:
+        """Wait for Enter. Returns False after Ctrl-C, and without a terminal."""
+        if not self.interactive:
+            return False
+        try:
+            self.err.input(_text(f"{text} "))
+        except (EOFError, KeyboardInterrupt):
+            return False
+        return True
+
     def result(self, outcomes: Sequence[Outcome], *, json: bool) -> int:
         """Print the outcomes, and return the exit code."""
         if json:

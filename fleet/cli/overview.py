@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 PURPOSES: Mapping[str, Sequence[str]] = {
-    "Set up": ("init", "inventory", "trust", "provision", "completion"),
+    "Set up": ("init", "inventory", "card", "await", "find", "trust", "provision", "completion"),
     "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove", "bundle"),
     "Look": ("status", "history", "logs", "topics", "listen", "run", "shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),

@@ -20,7 +20,8 @@ from pydantic import (
     model_validator,
 )
 
-from fleet.config import hardware, merge, validation
+from fleet.config import card, hardware, merge, validation
+from fleet.config.card import Card
 from fleet.config.hardware import Hardware
 from fleet.config.model import Frozen
 from fleet.config.selection import choose
@@ -198,6 +199,7 @@ class Values(Frozen):
         default=None,
         description="Files for the stack. Name below files/ on the robot: file here, relative to this file.",
     )
+    card: Card | None = Field(default=None, description="What `fab card` writes for the first boot.")
 
 
 class GroupValues(Values):
@@ -272,6 +274,7 @@ class Robot(Frozen):
     ros: Ros = Field(default_factory=Ros)
     docker: Docker = Field(default_factory=Docker)
     hardware: Hardware = Field(default_factory=Hardware)
+    card: Card = Field(default_factory=Card)
     environment: dict[str, str] = Field(default={})
     pass_environment: tuple[str, ...] = ()
     files: dict[str, Path] = Field(default={})
@@ -393,4 +396,6 @@ def _model_at(location: Location) -> type[Frozen]:
     depth = 1 if location[0] == "defaults" else 2
     if location[depth:][:1] == ("hardware",):
         return hardware.model_at(location[depth + 1 :])
+    if location[depth:][:1] == ("card",):
+        return card.model_at(location[depth + 1 :])
     return inner[location[depth]] if len(location) > depth else outer[location[0]]

@@ -66,7 +66,7 @@ def gather(path: Path, *, check: Check) -> tuple[Roster, tuple[str, ...]]:
 
 
 def merge(under: Plain, over: Plain) -> Plain:
-    """Both, ``over`` winning; the mappings inside (ros, docker, environment, files) key by key. Hardware adds up.
+    """Both, ``over`` winning; the mappings inside (ros, docker, card, environment, files) key by key. Hardware adds up.
 
     ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both. A ``ros.version`` replaces the
     keys of the other version.
@@ -258,7 +258,8 @@ class _File:
             k: v
             for k, v in values.items()
             if v is not None
-            or k not in {"ros", "docker", "hardware", "environment", "files", "stack", "pass_environment"}
+            or k
+            not in {"ros", "docker", "hardware", "card", "environment", "files", "stack", "pass_environment"}
         }
         self._check_peers((*location, "ros", "peers"), said.get("ros", {}).get("peers") or ())
         if "stack" in said:

@@ -60,6 +60,9 @@ USB_ID = _whole(r"[0-9A-Fa-f]{4}")
 USB_SERIAL = _whole(r"[A-Za-z0-9][A-Za-z0-9_.:+ -]*")
 USB_PORT = _whole(r"[0-9]+-[0-9]+(?:\.[0-9]+)*")
 LOGIN_GROUP = _whole(r"[a-z_][a-z0-9_-]{0,31}")
+SHELL_VARIABLE = _whole(r"[A-Za-z_][A-Za-z0-9_]*")
+COUNTRY = _whole(r"[A-Z]{2}")
+TIMEZONE = _whole(r"[A-Za-z0-9_+-]+(?:/[A-Za-z0-9_+-]+){0,2}")
 FILE = _whole(r"(?!/)(?!(?:.*/)?\.{1,2}(?:/|$))(?!.*//)(?!.*/$)[^\x00-\x1f\x7f\\]+")
 
 # As JSON Schema: a hostname and an ip, and neither is null.
@@ -113,6 +116,9 @@ _MUST: Mapping[str, str] = {
     USB_SERIAL: "must be a serial number as `udevadm info -a` shows it, without quotes and wildcards",
     USB_PORT: "must be a USB port such as '1-1.2', as `udevadm info -a` shows it in KERNELS",
     LOGIN_GROUP: "must be the name of a group, such as dialout",
+    SHELL_VARIABLE: "is not a name for a variable: use letters, digits and '_', not a digit first",
+    COUNTRY: "must be a country's two letters, such as DE, GB or US",
+    TIMEZONE: "must be a time zone such as Europe/Berlin, as `timedatectl list-timezones` prints them",
     FILE: "must be a plain relative path: it stays below files/ on the robot (no '/' first or last, no '.' or '..')",
 }
 
@@ -158,6 +164,17 @@ def ip(value: str) -> str:
         ip_address(value)
     except ValueError:
         raise ValueError(_MUST[IP]) from None
+    return value
+
+
+def ssid(value: str) -> str:
+    """``value`` if a Wi-Fi network can have this name; otherwise raise ValueError with the message."""
+    # IEEE 802.11: 32 bytes. Control characters are allowed there, and end a line in some systems' files.
+    size = len(value.encode())
+    if not 1 <= size <= 32:
+        raise ValueError(f"must be 1 to 32 bytes long, not {size}")
+    if not value.isprintable():
+        raise ValueError("has a character that cannot be printed")
     return value
 
 

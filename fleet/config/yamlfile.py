@@ -300,3 +300,22 @@ class _Builder:
 
 def _line(node: yaml.Node) -> int:
     return int(node.start_mark.line) + 1
+
+
+def dump(value: object) -> str:
+    """Return YAML for other programs: mappings in their order, text with several lines as a block."""
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
+
+
+class _Dumper(yaml.SafeDumper):
+    """PyYAML's own, which also writes lines as lines, and no aliases."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  see PyYAML
+        return True
+
+
+def _lines(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar(f"{_TAGS}str", text, style="|" if "\n" in text else None)
+
+
+_Dumper.add_representer(str, _lines)

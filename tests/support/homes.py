@@ -57,6 +57,13 @@ def identity(folder: Path, name: str) -> Path:
     return programs
 
 
+def program(folder: Path, name: str, *, called: str, text: str) -> None:
+    """Give a robot a program, in front of this computer's own."""
+    path = identity(folder, name) / called
+    path.write_text(text)
+    path.chmod(0o755)
+
+
 class Told:
     """A `fleet.rollout.progress.Progress` that remembers what it was told."""
 

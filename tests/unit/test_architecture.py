@@ -20,11 +20,12 @@ LIBRARIES = {
     "cli.console": {"rich"},
     "images.store": {"docker"},
     "config.inventory": {"pydantic", "pydantic_core"},
-    **{name: {"pydantic"} for name in ("config.hardware", "config.model")},
+    **{name: {"pydantic"} for name in ("config.card", "config.hardware", "config.model")},
     "ssh.connect": {"paramiko"},
     "transfer.codec": {"backports", "compression"},
     "config.project_files": {"pathspec"},
     "config.yamlfile": {"yaml"},
+    "ssh.mdns": {"zeroconf"},
 }
 """Each library has one module that imports it, and turns its exceptions into ours; pydantic has one more for each part
 of an inventory that is a subject of its own."""
@@ -37,6 +38,7 @@ PURE = {
     ),
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
+    *("card.custom_toml", "card.first_boot", "card.userconf"),
     *("ros.cdr", "ros.environment", "ros.rosmsg", "ros.rtps", "ros.rtps_graph", "ros.silence"),
     *("ros.silent_stack", "ros.unused_settings"),
     *("robot.hardware", "robot.raspberry_pi"),
@@ -52,13 +54,15 @@ PURE = {
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
     *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
     *("cli.json_output", "cli.overview", "cli.status"),
-    *("config", "diagnosis", "images", "onboard", "provision", "robot", "ros", "starter", "transfer"),
+    *("config", "diagnosis", "images", "onboard", "provision", "card", "robot", "ros", "starter", "transfer"),
 }
 """Values in, values out: their tests compare values, and nobody needs to imitate a robot for them."""
 
 READS_FILES = {
     *("starter.packages", "starter.project"),
     *(
+        "card.cloud_init",
+        "config.card",
         "config.compose",
         "config.hardware",
         "config.inventory",

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from fleet.cli import json_output, status
+from fleet.cli import find, json_output, status
 from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.rollout.sighting import Candidate, Sighting
 from fleet.ros.topics import Topic
 from tests.support.samples import PI, container, facts
 
@@ -72,8 +73,13 @@ INVENTORY = {
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
     *("hardware.devices", "hardware.udev", "hardware.interfaces", "hardware.groups"),
     *(f"hardware.udev.NAME.{key}" for key in ("kind", "vendor", "product", "serial", "port")),
+    *("card.timezone", "card.wifi"),
     *("environment", "pass_environment", "files", "known_hosts", "stacks", "peers"),
     *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
+}
+FOUND = {
+    *("address", "name", "maker", "system", "model"),
+    *("robot", "expected", "here", "key", "fingerprint"),
 }
 OUTCOME = {
     *("robot", "status", "summary", "step", "reason", "cure"),
@@ -106,12 +112,14 @@ WHOLE = PI.model_copy(
         "hardware": Hardware(udev={"lidar": Usb(vendor="10c4", product="ea60")}),
     }
 )
+SEEN = Sighting(candidate=Candidate(address="192.0.2.7"), fingerprint="SHA256:abc", key="new")
 PRINTED = {
     "`fab status --json`": (
         STATUS,
         status.record(facts(current="abc", releases=("abc",), containers=(container("abc"),))),
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
+    "`fab find --json`": (FOUND, find.record(SEEN, model="")),
     "`fab inventory --json`": (INVENTORY, WHOLE.model_dump(mode="json")),
     "`fab topics --json`": (
         {"name", "type", "publishers"},
@@ -142,7 +150,7 @@ def keys(value: object, path: str = "") -> set[str]:
     )
 
 
-SECTIONS = {"host", "login", "disk", "docker", "packages", "hardware", "fleet", "ros"}
+SECTIONS = {"card", "host", "login", "disk", "docker", "packages", "hardware", "fleet", "ros"}
 """Objects that the page shows by what is in them."""
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import build, bundle, deploy, lab, observe, project
+from fleet.cli import build, bundle, card, deploy, find, lab, observe, project
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
     *("init", "completion", "remove", "topics", "bundle"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
+    *("card", "await", "find"),
 }
 
 
@@ -62,7 +63,19 @@ def test_each_flag_has_help(mine: Project) -> None:
     "verb",
     sorted(
         VERBS
-        - {"inventory", "status", "history", "logs", "listen", "topics", "lab.list", "help", "completion"}
+        - {
+            "inventory",
+            "status",
+            "history",
+            "logs",
+            "listen",
+            "topics",
+            "lab.list",
+            "help",
+            "completion",
+            "await",
+            "find",
+        }
     ),
 )
 def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
@@ -73,7 +86,7 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (build, bundle, deploy, observe, lab, project)
+    modules = (build, bundle, card, deploy, find, observe, lab, project)
     assert (
         sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
         == len(VERBS)
