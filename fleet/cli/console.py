@@ -80,6 +80,7 @@ class Screen:
         self.err = Terminal(
             stderr=True, width=None if sys.stderr.isatty() else _COLUMNS_OF_A_FILE, highlight=False
         )
+        self._lines = threading.Lock()
 
     def say(self, text: str) -> None:
         """Print one line of progress."""
@@ -103,6 +104,12 @@ class Screen:
     def json(self, value: object) -> None:
         """Print a value for programs on standard output."""
         sys.stdout.write(json_output.text(value) + "\n")
+
+    def json_line(self, value: object) -> None:
+        """Print one of many values for programs, at once. Many threads may call it."""
+        with self._lines:
+            sys.stdout.write(json_output.line(value) + "\n")
+            sys.stdout.flush()
 
     def plans(self, plans: Iterable[Plan]) -> None:
         """Print plans, for ``--dry``."""

@@ -16,7 +16,15 @@ def text(value: object) -> str:
 
     What could steer a terminal is written as ``\u009b``: programs read the same, and people may look at it.
     """
-    written = json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    return _safe(json.dumps(_plain(value), indent=2, ensure_ascii=False))
+
+
+def line(value: object) -> str:
+    """Return the same on one line, for values that come one after the other."""
+    return _safe(json.dumps(_plain(value), ensure_ascii=False))
+
+
+def _safe(written: str) -> str:
     return _UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", written)
 
 
