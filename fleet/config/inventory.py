@@ -112,6 +112,9 @@ class Ros(Frozen):
         default=None,
         description="ROS_NAMESPACE: goes before every name. ROS 2 needs it in the command: `__ns:=/...`.",
     )
+    strict: bool = Field(
+        default=False, description="ROS 2. Refuse what `fab build` and `fab ship` warn about."
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -38,6 +38,7 @@ PURE = {
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("ros.cdr", "ros.environment", "ros.rosmsg", "ros.rtps", "ros.rtps_graph", "ros.silence"),
+    *("ros.measure", "ros.message", "ros.quality", "ros.rtps_discovery", "ros.via_robot"),
     *("ros.silent_stack", "ros.unused_settings"),
     *("robot.hardware", "robot.raspberry_pi"),
     *("robot.claims", "robot.facts", "robot.history", "robot.image_store", "robot.paths", "robot.probe"),
