@@ -112,9 +112,7 @@ class Ros(Frozen):
         default=None,
         description="ROS_NAMESPACE: goes before every name. ROS 2 needs it in the command: `__ns:=/...`.",
     )
-    strict: bool = Field(
-        default=False, description="ROS 2. Refuse what `fab build` and `fab ship` warn about."
-    )
+    strict: bool = Field(default=False, description="ROS 2: refuse stacks that get a warning about it.")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

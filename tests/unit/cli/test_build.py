@@ -110,7 +110,7 @@ def test_a_build_refuses_them_if_the_inventory_is_strict(own: Project) -> None:
     service = "{image: x, build: ., network_mode: host, environment: [ROS_DOMAIN_ID]}"
     (own.folder / "stack/compose.yaml").write_text(f"services: {{talker: {service}, listener: {service}}}\n")
     inventory = own.folder / "inventory.yaml"
-    inventory.write_text(inventory.read_text().replace("defaults:", "defaults:\n  ros: {strict: true}"))
+    inventory.write_text(inventory.read_text().replace("defaults: {", "defaults: {ros: {strict: true}, "))
     done = own.fleet("build", "--hosts", "pi1")
     assert (done.code, done.out) == (2, "")
     assert "pi1: no message of ROS 2 will arrive between listener and talker" in done.err
