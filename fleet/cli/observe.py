@@ -197,7 +197,7 @@ def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
 @verb(
     {
         "topic": "the topic to listen to; default: /time",
-        "count": "messages to show from each robot, 0 for all until Ctrl-C; default: 0",
+        "count": "messages, or measurements, to show from each robot, 0 for all until Ctrl-C; default: 0",
         "timeout": "fail after this many seconds without a message; default: 10",
         "rate": "show once a second how many messages arrive, and how large they are",
         "delay": "show once a second how old messages are when they arrive, by the stamp in their header",

@@ -11,6 +11,7 @@ import binascii
 import json
 from functools import partial
 from importlib import resources
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from fleet import onboard
@@ -81,7 +82,9 @@ class Heard:
             data = base64.b64decode(said["data"], validate=True)
             kind, definition, at = str(said["type"]), str(said.get("definition", "")), float(said["at"])
         except (ValueError, KeyError, TypeError, RecursionError, binascii.Error) as problem:
-            raise NotAsPlanned(f"the robot sent a line that is not a message: {line[:80]!r}") from problem
+            raise _no_message(line) from problem
+        if not isfinite(at):
+            raise _no_message(line)
         return Message(at=at, size=len(data), read=partial(self._read, kind, definition, data))
 
     def failure(self, robot: Robot, topic: str, *, code: int, errors: str) -> NotAsPlanned | NotReady:
@@ -103,3 +106,7 @@ class Heard:
             f"{topic} is not heard on {robot.name} itself, in the container {self._container}: {said}",
             cure=f"`fab logs --hosts {robot.name}` shows what the nodes do",
         )
+
+
+def _no_message(line: bytes) -> NotAsPlanned:
+    return NotAsPlanned(f"the robot sent a line that is not a message: {line[:80]!r}")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.ros import cdr, rtps, rtps_graph
+from fleet.ros import cdr, rtps, rtps_graph, topics
 from fleet.ros.rtps_graph import Graph, Received
 from tests.support import recorded
 from tests.support.ros2_peer import (
@@ -34,6 +34,15 @@ if TYPE_CHECKING:
 ME, PEER, OTHER = b"\1\x42" + bytes(10), b"\1\x0f" + bytes(range(10)), b"\1\x0f" + bytes(range(1, 11))
 STRING = "std_msgs::msg::dds_::String_"
 ROBOT, HERE, THERE = "10.0.0.2", ("10.0.0.9", 40_000), ("10.0.0.2", 7410)
+
+
+def subscription(number: int, topic: str = "rt/chatter", kind: str = STRING, **quality: bytes) -> bytes:
+    """A subscriber of the robot, reliable unless said otherwise."""
+    said = parameter(0x5A, PEER + bytes((0, 1, number, 4))) + parameter(0x05, string(topic))
+    said += parameter(0x07, string(kind)) + parameter(
+        0x1A, quality.get("reliability", struct.pack("<IiI", 2, 0, 0))
+    )
+    return data(SUBSCRIPTIONS, number, b"\0\3\0\0" + said + END)
 
 
 def graph(topic: str = "/chatter", *, robot: str = ROBOT, place: Place = HERE) -> Graph:
@@ -289,9 +298,11 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         hear(listener, announcement(prefix, THERE))
         hear(listener, announcement(prefix[::-1], ("9.9.9.9", 1)), source="9.9.9.9")
         hear(listener, datagram(PEER, publication(PEER, number, "rt/x", writer=struct.pack(">I", number))))
+        hear(listener, datagram(PEER, subscription(number)))
         first = fragments(WRITER, number, bytes(100), 10)
         hear(listener, *(datagram(PEER, piece) for piece in first[:8]))
-    assert (len(listener.peers), len(listener.strangers), len(listener.writers)) == (5, 5, 5)
+    assert (len(listener.peers), len(listener.strangers)) == (5, 5)
+    assert (len(listener.writers), len(listener.readers)) == (5, 5)
     kept = listener._fragments  # noqa: SLF001  what is kept inside is what this test is about
     assert len(kept) <= rtps_graph.UNFINISHED
     assert all(len(pieces.found) <= 5 for pieces in kept.values())
@@ -306,6 +317,7 @@ PARTS = st.sampled_from(
         publication(PEER, 1, "rt/chatter"), publication(PEER, 2, "rt/chatter", durable=True), heartbeat(WRITER, 1, 9),
         heartbeat(PUBLICATIONS, 1, 1 << 31), data(WRITER, 1, b"x"), gone(PUBLICATIONS, 3, PEER + WRITER),
         gone(rtps.ANNOUNCER, 3, PEER + WRITER), *fragments(WRITER, 4, bytes(30), 8), announcement(PEER, THERE)[20:],
+        subscription(1), subscription(2, kind="x"), heartbeat(SUBSCRIPTIONS, 1, 1 << 31), gone(SUBSCRIPTIONS, 3, PEER),
     ]
 )  # fmt: skip
 
@@ -323,6 +335,9 @@ def test_anything(parts: list[bytes], drawn: st.DataObject) -> None:
             )
         answers = hear(listener, bytes(raw))
         assert len(answers) <= 40
+    listener.unmatched()
+    topics.of_graph(listener, rates={})
+    list(listener.follow([writer.topic for writer in listener.writers.values()]))
     list(listener.repeat(now=1))
     list(listener.leave())
 
@@ -340,15 +355,6 @@ def test_a_publisher_that_dies_in_the_middle() -> None:
     hear(listener, announcement(OTHER, THERE), datagram(OTHER, publication(OTHER, 1, "rt/chatter")))
     hear(listener, datagram(OTHER, data(WRITER, 1, string_message("noon"))))
     assert payloads(listener) == [string_message("noon")]
-
-
-def subscription(number: int, topic: str = "rt/chatter", kind: str = STRING, **quality: bytes) -> bytes:
-    """A subscriber of the robot, reliable unless said otherwise."""
-    said = parameter(0x5A, PEER + bytes((0, 1, number, 4))) + parameter(0x05, string(topic))
-    said += parameter(0x07, string(kind)) + parameter(
-        0x1A, quality.get("reliability", struct.pack("<IiI", 2, 0, 0))
-    )
-    return data(SUBSCRIPTIONS, number, b"\0\3\0\0" + said + END)
 
 
 def test_subscribers_that_do_not_match() -> None:

@@ -77,6 +77,8 @@ def test_whatever_the_robot_prints(pieces: list[bytes]) -> None:
     "said",
     [
         b"{}",
+        b'{"type": "T", "at": NaN, "data": ""}',
+        b'{"type": "T", "at": 1e999, "data": ""}',
         b'{"type": 1}',
         b'{"type": "T", "at": 1, "data": "?"}',
         b'{"a"',
