@@ -85,7 +85,7 @@ def test_the_example_talks(clock: Project) -> None:
     assert topics["/time"]["type"] == "std_msgs/msg/Header"
     assert topics["/time"]["subscribers"] >= 1
     assert topics["/time"]["unmatched"] == topics["/delay"]["unmatched"] == []
-    assert 0.5 < topics["/delay"]["rate"] < 2
+    assert 0 < topics["/delay"]["rate"] < 3
 
 
 def test_measured_and_on_the_robot(clock: Project) -> None:
@@ -93,7 +93,7 @@ def test_measured_and_on_the_robot(clock: Project) -> None:
     near = ("listen", "--hosts", "pi1", "--delay", "--count", "1", "--json")
     for more in ((), ("--via", "robot")):
         report = json.loads(clock.well(*near, *more).out)
-        assert 0.5 < report["rate"] < 5
+        assert 0 < report["rate"] < 5
         assert -0.5 < report["delay"] < 5
     said = clock.well("listen", "--hosts", "pi1", "--via", "robot", "--count", "1")
     assert "frame_id" in said.out
