@@ -1,6 +1,7 @@
 """A node that tells how old the time of the talker is when it arrives."""
 
 import contextlib
+import os
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -10,7 +11,10 @@ from std_msgs.msg import Float64, Header
 
 
 class Listener(Node):
-    """Publishes ``delay``: seconds from the stamp of each message on ``time`` until it arrived."""
+    """Publishes ``delay``: seconds from the stamp of each message on ``time`` until it arrived.
+
+    Other robots of the domain publish ``time`` too, by their own clocks. Those messages say nothing about delays.
+    """
 
     def __init__(self) -> None:
         super().__init__("listener")
@@ -18,6 +22,8 @@ class Listener(Node):
         self._subscription = self.create_subscription(Header, "time", self._heard, 10)
 
     def _heard(self, header: Header) -> None:
+        if header.frame_id != os.environ.get("FLEET_ROBOT", ""):
+            return
         delay = (self.get_clock().now() - Time.from_msg(header.stamp)).nanoseconds / 1e9
         self._publisher.publish(Float64(data=delay))
         self.get_logger().info(f"heard {header.stamp.sec} after {delay * 1000:.1f} ms")
