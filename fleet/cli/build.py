@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fleet.cli import doubts
 from fleet.cli.beside import beside
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
@@ -55,6 +56,7 @@ def build(
     with beside(buildkit_client) as client, beside(Store) as opened, Stacks(variables=_variables) as stacks:
         found = stacks.of(robots, only=stack)
         screen.warnings(warnings_of(found))
+        doubts.tell(robots, found, screen=screen)
         wanted = [(robot, one) for robot in robots for one in found[robot.name]]
         flags = ["--no-cache"] * no_cache + ["--pull"] * pull
         commands = _commands(wanted, flags, client=client())
@@ -67,6 +69,7 @@ def build(
             builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
         with opened() as store:
             images = [image for robot, one in wanted for image in _built(one, robot, store)]
+            screen.warnings(doubts.of_images(robots, found, store))
         screen.images(list({image.reference: image for image in images}.values()), json=json)
 
 

@@ -35,7 +35,7 @@ from fleet.plan.outcome import exit_code
 from fleet.units import human_bytes, human_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from types import TracebackType
 
     from rich.console import RenderableType
@@ -80,6 +80,7 @@ class Screen:
         self.err = Terminal(
             stderr=True, width=None if sys.stderr.isatty() else _COLUMNS_OF_A_FILE, highlight=False
         )
+        self._lines = threading.Lock()
 
     def say(self, text: str) -> None:
         """Print one line of progress."""
@@ -103,6 +104,12 @@ class Screen:
     def json(self, value: object) -> None:
         """Print a value for programs on standard output."""
         sys.stdout.write(json_output.text(value) + "\n")
+
+    def json_line(self, value: object) -> None:
+        """Print one of many values for programs, at once. Many threads may call it."""
+        with self._lines:
+            sys.stdout.write(json_output.line(value) + "\n")
+            sys.stdout.flush()
 
     def plans(self, plans: Iterable[Plan]) -> None:
         """Print plans, for ``--dry``."""
@@ -171,7 +178,7 @@ class Screen:
         """Print each name with its values below it; nested values have dotted keys."""
         for name, values in records.items():
             self.out.print(_text(name, "bold"))
-            for key, value in _flat(values):
+            for key, value in json_output.flat(values):
                 self.out.print(_text(f"  {key:24} {value}"), soft_wrap=True)
 
     def confirm(self, question: str) -> bool:
@@ -385,11 +392,3 @@ def _cut(text: str) -> str:
 def _text(text: str, style: str = "") -> Text:
     """Return the text without control sequences; brackets in it are not markup."""
     return Text(terminal.plain(text), style=style)
-
-
-def _flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{before}{key}.")
-        else:
-            yield f"{before}{key}", value

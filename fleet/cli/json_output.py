@@ -5,8 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+from typing import TYPE_CHECKING
 
 from fleet.terminal import UNSAFE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
 
 _UNSAFE = re.compile(f"[{UNSAFE}]")
 
@@ -16,7 +20,15 @@ def text(value: object) -> str:
 
     What could steer a terminal is written as ``\u009b``: programs read the same, and people may look at it.
     """
-    written = json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    return _safe(json.dumps(_plain(value), indent=2, ensure_ascii=False))
+
+
+def line(value: object) -> str:
+    """Return the same on one line, for values that come one after the other."""
+    return _safe(json.dumps(_plain(value), ensure_ascii=False))
+
+
+def _safe(written: str) -> str:
     return _UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", written)
 
 
@@ -30,3 +42,12 @@ def _plain(value: object) -> object:
     if isinstance(value, bytes):
         return f"{len(value)} bytes"
     return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def flat(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:
+    """Each value of nested objects, with its path: ``docker.version``."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value

@@ -5,17 +5,18 @@ from __future__ import annotations
 import os
 import shlex
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from fleet.cli import heard, whose
 from fleet.cli import status as states
-from fleet.cli import whose
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
 from fleet.errors import FleetError, UsageError
 from fleet.plan import containers
-from fleet.rollout import stream, topic_list
+from fleet.rollout import listening, stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
 from fleet.ssh import openssh_config
@@ -23,6 +24,11 @@ from fleet.ssh import openssh_config
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
     from fleet.robot.facts import Facts
+    from fleet.rollout.listening import Show
+    from fleet.ros.topics import Topic
+
+MEASURED = 5.0
+"""Seconds for which `fab topics --rate` counts messages."""
 
 
 @verb({"facts": "ask the robots too: board, system, Docker, runtimes, devices"}, looks=True)
@@ -191,56 +197,91 @@ def shell(hosts: str = "all", dry: bool = False, inventory: str = "") -> None:
 @verb(
     {
         "topic": "the topic to listen to; default: /time",
-        "count": "messages to show from each robot, 0 for all until Ctrl-C; default: 0",
+        "count": "messages, or measurements, to show from each robot, 0 for all until Ctrl-C; default: 0",
         "timeout": "fail after this many seconds without a message; default: 10",
+        "rate": "show once a second how many messages arrive, and how large they are",
+        "delay": "show once a second how old messages are when they arrive, by the stamp in their header",
+        "via": "robot: listen in a container of the robot, over SSH, if this computer cannot reach its nodes",
+        "json": "print each message as one line of JSON",
     },
     looks=True,
 )
 def listen(
-    hosts: str = "all", topic: str = "/time", count: int = 0, timeout: int = 10, inventory: str = ""
+    hosts: str = "all",
+    topic: str = "/time",
+    count: int = 0,
+    timeout: int = 10,
+    rate: bool = False,
+    delay: bool = False,
+    via: str = "",
+    json: bool = False,
+    inventory: str = "",
 ) -> int:
     """Show a topic's messages as they arrive here.
 
     This computer does not need ROS. If no message arrives, the reason is shown: a name that does not resolve, a loopback
     address, a closed port, or a topic without messages; for ROS 2 also another domain, a container with a network of its
-    own, a firewall, and the settings of discovery.
+    own, a firewall, and the settings of discovery. Subscribers on the robot that do not match the publisher are named.
     """
+    if via not in ("", "robot"):
+        raise UsageError(f"--via {via} is not possible", cure="say --via robot, or leave it out")
     screen, robots = Screen(), select(inventory, hosts)[1]
     printer = screen.prefixed([robot.name for robot in robots])
-    return screen.problems(
-        stream.topics(
-            robots,
-            topic,
-            count=count,
-            timeout=timeout,
-            printer=printer,
-            notes=lambda name, text: screen.say(f"{name}: {text}"),
-            progress=NoProgress(),
-        )
+    show: Show
+    if rate or delay:
+        on_report = heard.report_as_json(topic, screen.json_line) if json else heard.report_as_text(printer)
+        show = heard.Measured(topic, delay=delay, on_report=on_report).show
+    else:
+        show = heard.as_json(topic, screen.json_line) if json else heard.as_text(printer)
+    request = listening.Request(
+        topic=topic, count=count, timeout=timeout, via_robot=via == "robot", clocks=delay
     )
+    notes = partial(_note, screen)
+    return screen.problems(listening.hear(robots, request, show=show, notes=notes, progress=NoProgress()))
 
 
-@verb({"timeout": "seconds to look for the topics of a robot with ROS 2; default: 10"}, looks=True)
-def topics(hosts: str = "all", timeout: int = 10, json: bool = False, inventory: str = "") -> int:
+def _note(screen: Screen, robot: str, text: str) -> None:
+    screen.say(f"{robot}: {text}")
+
+
+@verb(
+    {
+        "timeout": "seconds to look for the topics of a robot with ROS 2; default: 10",
+        "rate": f"count the messages of all topics for {MEASURED:g} seconds; all of them are sent to this computer then",
+    },
+    looks=True,
+)
+def topics(
+    hosts: str = "all", timeout: int = 10, rate: bool = False, json: bool = False, inventory: str = ""
+) -> int:
     """List topics, their types, and how many publish them.
 
-    For ROS 1, the topics are those of the robot's master. For ROS 2, they are those of the robot's own nodes. If none are
-    found, the reason is shown, as by `fab listen`.
+    For ROS 1, the topics are those of the robot's master. For ROS 2, they are those of the robot's own nodes, with the
+    quality of service that their publishers offer; subscribers that do not match are named. If no topics are found, the
+    reason is shown, as by `fab listen`.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
-    found, outcomes = topic_list.look(robots, timeout=timeout, progress=NoProgress())
+    found, outcomes = topic_list.look(
+        robots, timeout=timeout, measure=MEASURED if rate else 0, progress=NoProgress()
+    )
     if json:
         screen.json({name: [asdict(topic) for topic in topics] for name, topics in found.items()})
     else:
+        rows = [(name, one) for name, topics in found.items() for one in topics]
         screen.table(
-            ("robot", "topic", "type", "publishers"),
-            [
-                ((name, "bold"), (one.name, ""), (one.type, ""), (str(one.publishers), ""))
-                for name, topics in found.items()
-                for one in topics
-            ],
+            ("robot", "topic", "type", "publishers", "subscribers", "quality", *["messages/s"] * rate),
+            [_topic_row(name, one, rate=rate) for name, one in rows],
         )
+        for name, one in rows:
+            for reason in one.unmatched:
+                _note(screen, name, f"a subscriber of {one.name} gets no message: {reason}")
     return screen.problems(outcomes)
+
+
+def _topic_row(robot: str, topic: Topic, *, rate: bool) -> list[tuple[str, str]]:
+    measured = ["?" if topic.rate is None else f"{topic.rate:.3g}"] * rate
+    cells = (topic.name, topic.type, str(topic.publishers), str(topic.subscribers), topic.quality, *measured)
+    return [(robot, "bold"), *((cell, "") for cell in cells)]
 
 
 VERBS = (inventory, status, history, logs, run, shell, listen, topics)

@@ -14,7 +14,6 @@ from fleet.errors import InventoryError, Refused, UsageError
 from fleet.plan.ship import HEALTHY_WITHIN
 from fleet.robot import release
 from fleet.ros import environment as ros
-from fleet.ros import silent_stack, unused_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -36,7 +35,7 @@ AT_ONCE = 2 * (os.cpu_count() or 1)
 class RobotStack:
     """One stack of one robot: where it is written, and what Compose says it is with this robot's values.
 
-    ``warnings`` are Compose's, and ours about what would start well and not work.
+    ``warnings`` are Compose's.
     """
 
     spec: StackFiles
@@ -123,11 +122,7 @@ class Stacks:
             project=project,
             stack=read,
             environment=environment,
-            warnings=(
-                *resolved.warnings,
-                *silent_stack.warnings(read, version=robot.ros.version),
-                *unused_settings.warnings(robot, read),
-            ),
+            warnings=resolved.warnings,
         )
 
 
@@ -186,7 +181,7 @@ def stacks_there(facts: Facts, *, only: str, alone: bool = False) -> list[str]:
 
 
 def warnings_of(stacks: Mapping[str, Sequence[RobotStack]]) -> dict[str, list[str]]:
-    """The warnings about the stacks of each robot, by its name."""
+    """Compose's warnings about the stacks of each robot, by its name."""
     return {name: [text for one in ones for text in one.warnings] for name, ones in stacks.items()}
 
 

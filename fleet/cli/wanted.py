@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet.bundle import read as bundles
+from fleet.cli import doubts
 from fleet.cli.beside import beside
 from fleet.cli.stacks import Stacks, warnings_of
 from fleet.errors import UsageError
@@ -56,6 +57,7 @@ def opened(
         found = stacks.of(robots, only=only)
         screen.warnings(warnings_of(found))
         store = stack.enter_context(store_opened())
+        doubts.tell(robots, found, store, screen=screen)
         yield store, {robot.name: built(stacks, robot, found[robot.name], store) for robot in robots}
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from fleet.config import validation
 
 
 class Frozen(BaseModel):
@@ -12,3 +16,7 @@ class Frozen(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, regex_engine="python-re", defer_build=True
     )
+
+
+Members = list[Annotated[str, Field(pattern=validation.MEMBER)]]
+"""Names of robots and groups, and wildcards."""

@@ -164,6 +164,36 @@ class Store:
                 part.replace(kept.with_name(f"{kept.name}.{hashlib.sha256(config).hexdigest()}"))
         return config
 
+    def environment(self, wanted: Image) -> dict[str, str]:
+        """The variables that an image sets. Raises as `find`."""
+        attributes = self._inspected(wanted.reference) or {}
+        pairs = (attributes.get("Config") or {}).get("Env") or ()
+        return dict(pair.split("=", 1) for pair in pairs if "=" in pair)
+
+    def names_in(self, wanted: Image, folder: str) -> frozenset[str]:
+        """The names of the files in a folder of an image; none if there is no such folder. Nothing of the image runs.
+
+        Raises:
+            DesktopError: Docker does not answer, or refuses.
+
+        """
+        platform = wanted.platform if self._containerd else None
+        try:
+            container = self._client.api.create_container(
+                wanted.reference, command=["true"], platform=platform
+            )["Id"]
+            try:
+                chunks, _ = self._client.api.get_archive(container, folder)
+                with tarfile.open(fileobj=io.BufferedReader(Chunks(chunks), CHUNK), mode="r|") as archive:
+                    paths = [member.name for member in archive if not member.isdir()]
+            except self._errors.NotFound:
+                return frozenset()
+            finally:
+                self._client.api.remove_container(container, force=True)
+        except (self._errors.DockerException, OSError, tarfile.TarError) as problem:
+            raise DesktopError(f"looking into image {wanted.reference} failed: {problem}") from problem
+        return frozenset(path.rpartition("/")[2] for path in paths)
+
     def export(self, wanted: Image) -> Generator[bytes]:
         """The image as ``docker save`` writes it, under its own name. Raises as `archive`."""
         yield from self._saved(wanted.reference)

@@ -1,21 +1,18 @@
-"""How are logs, command output and topic messages of many robots shown line by line as they arrive?
+"""How are logs and command output of many robots shown line by line as they arrive?
 
 Each robot has a thread; all lines go to one printer. Ctrl-C ends the stream and is not a failure.
 """
 
 from __future__ import annotations
 
-from contextlib import closing
-from itertools import islice
 from typing import TYPE_CHECKING
 
 from fleet.errors import CommandFailed
 from fleet.plan.outcome import Outcome
 from fleet.rollout.pool import each
-from fleet.ros import listen, listen_ros2
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Callable, Sequence
 
     from fleet.config.inventory import Robot
     from fleet.robot.facts import Facts
@@ -82,50 +79,6 @@ def run(
         return _stream(link, ("sh", "-c", command), printer, feed=(), limit=limit or None)
 
     return each(robots, work, progress=progress)
-
-
-def topics(
-    robots: Sequence[Robot],
-    topic: str,
-    *,
-    count: int,
-    timeout: float,
-    printer: Printer,
-    notes: Printer,
-    progress: Progress,
-) -> tuple[Outcome, ...]:
-    """Print a topic's messages from each robot: ``count`` messages, or all for 0.
-
-    ``timeout``: seconds without a message after which the robot counts as failed. ``notes`` gets a sentence about a robot
-    whose messages arrive, although other computers would not find it.
-    """
-
-    def work(link: Link) -> Outcome:
-        received = 0
-        with closing(_messages(link, topic, timeout=timeout, notes=notes)) as arriving:
-            for text in islice(arriving, count or None):
-                received += 1
-                for part in text.splitlines():
-                    printer(link.robot.name, part)
-        return Outcome(
-            robot=link.robot.name, status="done", summary=f"received {received} messages on {topic}"
-        )
-
-    return each(robots, work, progress=progress, at_once=len(robots))
-
-
-def _messages(link: Link, topic: str, *, timeout: float, notes: Printer) -> Generator[str]:
-    """Return the messages of a robot, by the ROS that it runs."""
-    robot = link.robot
-    if robot.ros.version == 1:
-        return listen.messages(robot, topic, timeout=timeout)
-    return listen_ros2.messages(
-        robot,
-        topic,
-        timeout=timeout,
-        on_robot=lambda argv: link.run(*argv),
-        on_note=lambda text: notes(robot.name, text),
-    )
 
 
 def _stream(

@@ -18,17 +18,19 @@ if TYPE_CHECKING:
 
 
 def look(
-    robots: Sequence[Robot], *, timeout: float, progress: Progress
+    robots: Sequence[Robot], *, timeout: float, progress: Progress, measure: float = 0
 ) -> tuple[dict[str, tuple[Topic, ...]], tuple[Outcome, ...]]:
     """Return the topics of each robot that has some, in the order of ``robots``, and all outcomes.
 
-    ``timeout``: seconds to find the nodes of a robot with ROS 2.
+    ``timeout``: seconds to find the nodes of a robot with ROS 2; ``measure``: seconds to count messages, 0 for none.
     """
     found: dict[str, tuple[Topic, ...]] = {}
 
     def work(link: Link) -> Outcome:
         name = link.robot.name
-        found[name] = topics.topics(link.robot, timeout=timeout, on_robot=lambda argv: link.run(*argv))
+        found[name] = topics.topics(
+            link.robot, timeout=timeout, on_robot=lambda argv: link.run(*argv), measure=measure
+        )
         return Outcome(robot=name, status="done", summary=f"{len(found[name])} topics")
 
     outcomes = each(robots, work, progress=progress)

@@ -46,8 +46,11 @@ _LARGEST_ARRAY = 100_000_000  # of a fixed length; more is a mistake of the defi
 
 
 def type_name(dds: str) -> str:
-    """Return the ROS name of a DDS type: ``std_msgs/String`` for ``std_msgs::msg::dds_::String_``. Raises `Undecodable`."""
-    match = re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", dds)
+    """Return the short name of a type: ``std_msgs/String`` for ``std_msgs::msg::dds_::String_`` or ``std_msgs/msg/String``.
+
+    Raises `Undecodable`.
+    """
+    match = re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", dds) or re.fullmatch(r"(\w+)/msg/(\w+)", dds)
     if not match:
         raise Undecodable(f"{dds} is not a message type of ROS")
     return "/".join(match.groups())

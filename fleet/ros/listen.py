@@ -10,14 +10,16 @@ from __future__ import annotations
 import contextlib
 import time
 from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.ros import environment, rosmsg, tcpros
+from fleet.ros.message import Message
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Iterator, Mapping
+    from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 
     from fleet.config.inventory import Robot
 
@@ -25,8 +27,8 @@ STEP = 10.0  # seconds for each request to a name server, master or node
 AGAIN = 0.5  # seconds until a publisher that went away is looked for again
 
 
-def messages(robot: Robot, topic: str, *, timeout: float) -> Generator[str]:
-    """Yield a topic's messages from now on, each as text like that of ``rostopic echo``.
+def messages(robot: Robot, topic: str, *, timeout: float) -> Generator[Message]:
+    """Yield a topic's messages from now on.
 
     A relative topic name is resolved in the robot's namespace, as for its own nodes. ``timeout``: seconds without a
     message after which the topic counts as silent. A publisher that goes away, as in a restart or a ship, has as long to
@@ -37,9 +39,9 @@ def messages(robot: Robot, topic: str, *, timeout: float) -> Generator[str]:
     lost = None  # when the publisher went away
     while True:
         try:
-            for text in _from_one_publisher(robot, name, timeout=timeout):
+            for message in _from_one_publisher(robot, name, timeout=timeout):
                 lost = None
-                yield text
+                yield message
         except LinkLost:
             lost = lost or time.monotonic()
             if time.monotonic() - lost > timeout:
@@ -50,15 +52,14 @@ def messages(robot: Robot, topic: str, *, timeout: float) -> Generator[str]:
         time.sleep(AGAIN)
 
 
-def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[str]:
+def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[Message]:
     """Yield messages until the publisher goes away: then `LinkLost` is raised."""
-    with contextlib.closing(_stream(robot, name)) as stream:
+    with contextlib.closing(stream_of(robot, name)) as stream:
+        read = reader(name, stream.type, stream.definition)
         try:
-            types = rosmsg.parse(stream.type, stream.definition)
             while True:
-                yield rosmsg.text(rosmsg.decode(stream.read(timeout), stream.type, types))
-        except rosmsg.Undecodable as problem:
-            raise NotAsPlanned(f"{name} cannot be read: {problem}") from problem
+                data = stream.read(timeout)
+                yield Message(at=time.time(), size=len(data), read=partial(read, data))
         except tcpros.Silent as problem:
             raise TimedOut(
                 f"{name} was silent for {timeout:g} s: its publisher accepts subscribers but sends no message",
@@ -71,8 +72,23 @@ def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[
             ) from problem
 
 
-def _stream(robot: Robot, topic: str) -> tcpros.Stream:
-    """Take all steps up to the first message."""
+def reader(topic: str, kind: str, definition: str) -> Callable[[bytes], Mapping[str, rosmsg.Value]]:
+    """Return what reads the bytes of a topic's messages. It raises `NotAsPlanned` if the type cannot be read."""
+    types: dict[str, Mapping[str, tuple[rosmsg.Field, ...]]] = {}
+
+    def read(data: bytes) -> Mapping[str, rosmsg.Value]:
+        try:
+            if kind not in types:
+                types[kind] = rosmsg.parse(kind, definition)
+            return rosmsg.decode(data, kind, types[kind])
+        except rosmsg.Undecodable as problem:
+            raise NotAsPlanned(f"{topic} cannot be read: {problem}") from problem
+
+    return read
+
+
+def stream_of(robot: Robot, topic: str) -> tcpros.Stream:
+    """Return the bytes of a topic: take all steps up to the first message. Raises `RobotError`."""
     master, graph = master_graph(robot)
     if not graph.publishers.get(topic):
         raise unpublished(topic, graph, robot=robot)

@@ -13,18 +13,21 @@ import select
 import socket
 import sys
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from fleet import onboard
 from fleet.errors import NotAsPlanned, Unreachable
 from fleet.ros import cdr, environment, rosmsg, rtps, silence, tcpros
+from fleet.ros.message import Message
 from fleet.ros.rtps_graph import Graph
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 
     from fleet.config.inventory import Robot
-    from fleet.ros.rtps_graph import Message
+    from fleet.ros import rtps_graph
+    from fleet.ros.rtps_discovery import Place
 
     OnRobot = Callable[[tuple[str, ...]], str]
     """Runs a command on the robot and returns its output. Raises `RobotError`."""
@@ -37,6 +40,9 @@ REPEAT = 0.5
 
 KEEP_ALIVE = 3.0
 """Seconds, as for Fast DDS: others forget a participant that is silent for its lease of 20 s."""
+
+MOST_NOTES = 20
+"""Subscribers that are told of."""
 
 ROOM = 32 << 20
 """Bytes of received datagrams that the system shall keep for a message: a camera image arrives in one burst."""
@@ -54,26 +60,30 @@ def messages(
     timeout: float,
     on_robot: OnRobot,
     on_note: Callable[[str], None] = lambda _: None,
-) -> Generator[str]:
-    """Yield a topic's messages from now on, each as text like that of ``ros2 topic echo``.
+) -> Generator[Message]:
+    """Yield a topic's messages from now on.
 
     A relative topic name is resolved in the robot's namespace. ``timeout``: seconds without a message after which the
     topic counts as silent; a publisher that is restarted has as long to come back. ``on_note`` gets a sentence if messages
-    arrive, and other computers would not find the robot. The iterator ends only by raising `RobotError`.
+    arrive here, and others would not get them. The iterator ends only by raising `RobotError`.
     """
     if robot.ros.rmw == "rmw_zenoh_cpp":
         raise silence.by_zenoh(robot)
     name = tcpros.resolved(topic, robot.ros.namespace or "")
     with Listener(robot, name, addresses_of(robot, on_robot)) as listener:
-        types: dict[str, cdr.Types] = {}
+        read = Types(name, on_robot).read
         heard, last = 0, time.monotonic()
         while time.monotonic() - last < timeout:
             listener.announce(every=KEEP_ALIVE if heard else REPEAT)
             for message in listener.receive():
                 heard, last = heard + 1, time.monotonic()
-                yield _text(message, name, types, on_robot)
+                yield Message(
+                    at=time.time(),
+                    size=len(message.payload),
+                    read=partial(read, message.type, message.payload),
+                )
                 last = time.monotonic()  # whoever reads them may have taken a while
-            if heard and (note := listener.note()):
+            for note in listener.notes() if heard else ():
                 on_note(note)
         raise silence.reason(robot, listener.graph, network_of(on_robot), heard=heard, timeout=timeout)
 
@@ -98,15 +108,22 @@ def addresses_of(robot: Robot, on_robot: OnRobot) -> tuple[str, ...]:
     )
 
 
-def _text(message: Message, topic: str, types: dict[str, cdr.Types], on_robot: OnRobot) -> str:
-    """Return a message as text. The robot is asked once for the definition of its type."""
-    try:
-        name = cdr.type_name(message.type)
-        if name not in types:
-            types[name] = cdr.parse(name, _definitions(name, on_robot))
-        return rosmsg.text(cdr.decode(message.payload, name, types[name]))
-    except rosmsg.Undecodable as problem:
-        raise NotAsPlanned(f"{topic} cannot be read: {problem}") from problem
+class Types:
+    """The definitions of the types of a topic's messages. The robot is asked once for each."""
+
+    def __init__(self, topic: str, on_robot: OnRobot) -> None:
+        self._topic, self._on_robot = topic, on_robot
+        self._known: dict[str, cdr.Types] = {}
+
+    def read(self, kind: str, payload: bytes) -> Mapping[str, rosmsg.Value]:
+        """Return the values of a message. ``kind`` is a type of DDS. Raises `NotAsPlanned`."""
+        try:
+            name = cdr.type_name(kind)
+            if name not in self._known:
+                self._known[name] = cdr.parse(name, _definitions(name, self._on_robot))
+            return cdr.decode(payload, name, self._known[name])
+        except rosmsg.Undecodable as problem:
+            raise NotAsPlanned(f"{self._topic} cannot be read: {problem}") from problem
 
 
 def _definitions(name: str, on_robot: OnRobot) -> str:
@@ -118,7 +135,9 @@ def _definitions(name: str, on_robot: OnRobot) -> str:
 class Listener:
     """The sockets of a listener, and what it has heard. Close it, or use it with ``with``: it then says goodbye."""
 
-    def __init__(self, robot: Robot, topic: str, addresses: tuple[str, ...]) -> None:
+    def __init__(
+        self, robot: Robot, topic: str, addresses: tuple[str, ...], *, counting: bool = False
+    ) -> None:
         self._robot = robot
         self._domain = environment.domain(robot)
         self._targets = addresses
@@ -131,13 +150,15 @@ class Listener:
         self._multicast = self._join(place[0])
         self._announced = 0.0
         self._began = time.monotonic()
-        self._noted = False
+        self._judged = False
+        self._noted: set[str] = set()
         self.graph = Graph(
             prefix=b"\1\x42" + os.urandom(10),
             domain=self._domain,
             place=place,
             addresses=addresses,
             topic=topic,
+            counting=counting,
         )
 
     def __enter__(self) -> Self:
@@ -162,8 +183,12 @@ class Listener:
         self._send((said, place) for place in places)
         self._send(self.graph.repeat(now=now))
 
-    def receive(self) -> Generator[Message]:
-        """Wait for a moment, take in what arrives, and yield the messages of the topic."""
+    def follow(self, topics: Iterable[str]) -> None:
+        """Listen to more topics, which are DDS names."""
+        self._send(self.graph.follow(topics))
+
+    def receive(self) -> Generator[rtps_graph.Message]:
+        """Wait for a moment, take in what arrives, and yield the messages of the topics."""
         sockets = [self._own, *([self._multicast] if self._multicast else [])]
         for ready in select.select(sockets, (), (), 0.1)[0]:
             with contextlib.suppress(OSError):
@@ -175,22 +200,29 @@ class Listener:
         while self.graph.messages:
             yield self.graph.messages.popleft()
 
-    def note(self) -> str:
-        """Return, once, that messages arrive although multicast does not, "" otherwise."""
+    def notes(self) -> Iterator[str]:
+        """Yield, each once, why others do not get the messages that arrive here."""
+        topic = self.graph.topic.removeprefix("rt")
+        for reason in self.graph.unmatched():
+            yield from self._once(f"a subscriber of {topic} on {self._robot.name} gets no message: {reason}")
         peers = self.graph.peers.values()
         late = time.monotonic() - self._began > HEARD_BY_NOW
         fast = peers and all(peer.about.vendor == "Fast DDS" for peer in peers)
-        if self._noted or not late or not self._multicast or not fast:
-            return ""
-        self._noted = True
-        if any(peer.by_multicast for peer in peers):
-            return ""
-        return (
-            f"messages arrive, but the multicast of {self._robot.name} does not: other computers with ROS 2 may not find "
-            "its nodes (`ros.peers` names them to each other; ros.discovery must be subnet)"
-        )
+        if self._judged or not late or not self._multicast or not fast:
+            return
+        self._judged = True
+        if not any(peer.by_multicast for peer in peers):
+            yield (
+                f"messages arrive, but the multicast of {self._robot.name} does not: other computers with ROS 2 may not "
+                "find its nodes (`ros.peers` names them to each other; ros.discovery must be subnet)"
+            )
 
-    def _send(self, datagrams: Iterable[tuple[bytes, rtps.Place]]) -> None:
+    def _once(self, note: str) -> Iterator[str]:
+        if note not in self._noted and len(self._noted) < MOST_NOTES:
+            self._noted.add(note)
+            yield note
+
+    def _send(self, datagrams: Iterable[tuple[bytes, Place]]) -> None:
         for datagram, place in datagrams:
             with contextlib.suppress(
                 OSError
@@ -229,6 +261,7 @@ def _own_address(robot: str) -> str:
             probe.connect((robot, rtps.port(0, 0)))  # sends nothing; asks the routing table
         except OSError as problem:
             raise Unreachable(
-                f"this computer has no route to {robot} ({problem.strerror})", cure="check its network"
+                f"this computer has no route to {robot} ({problem.strerror})",
+                cure="check its network; `fab listen --via robot` listens in a container of the robot, over SSH",
             ) from problem
         return str(probe.getsockname()[0])

@@ -7,26 +7,41 @@ of ROS; then the check takes the one that the container's program was started wi
     healthcheck:
       test: ["CMD", "python3", "/usr/local/lib/fleet/ros2_check.py", "/chatter", "--timeout", "10"]
 
+With ``--all``, it prints each message as a line of JSON, until its input ends: so `fab listen --via robot` hears a topic.
+
 Good for Python 3.8. All times are in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import importlib
+import json
 import os
 import re
+import select
 import sys
+import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 TURN = 0.1  # between two looks for a publisher
 NODE = "_fleet_check"  # the underscore hides it from `ros2 node list`
+SIGN_OF_LIFE = 45.0  # a desktop that listens sends a byte every ten seconds
+NO_ROS = 3  # exit code
 
 
 class NoMessage(Exception):
     """No message was read; the text says why."""
+
+
+class NoRos(NoMessage):
+    """There is no rclpy here."""
 
 
 def adopted(processes: Path) -> dict[str, str]:
@@ -43,38 +58,74 @@ def adopted(processes: Path) -> dict[str, str]:
     return {}
 
 
+def overruled() -> dict[str, str]:
+    """Return the variables that whoever runs this program has set for it, over those of the container's program."""
+    return {name: value for name, value in os.environ.items() if name == "FASTDDS_BUILTIN_TRANSPORTS"}
+
+
 def resolved(topic: str, namespace: str) -> str:
     """Return a topic's full name: a relative one follows the namespace, as a node's own would."""
     return topic if topic.startswith("/") else "/" + "/".join(p for p in (namespace.strip("/"), topic) if p)
 
 
-def first_message(topic: str, *, timeout: float) -> bytes:
-    """Read one message of a topic, as its bytes. Raises `NoMessage`."""
+def listen(topic: str, *, timeout: float, on_message: Callable[[str, bytes], bool]) -> None:
+    """Give the type and the bytes of each message of a topic to ``on_message``, until that returns False.
+
+    Raises `NoMessage` if none comes for ``timeout`` seconds.
+    """
     try:
         rclpy = importlib.import_module("rclpy")
     except ImportError as problem:
-        raise NoMessage(f"this container has no rclpy ({problem})") from problem
+        raise NoRos(f"this container has no rclpy ({problem})") from problem
     rclpy.init(args=[])
     try:
         node = rclpy.create_node(NODE, start_parameter_services=False, enable_rosout=False)
-        return _heard(rclpy, node, topic, deadline=time.monotonic() + timeout)
+        _listen(rclpy, node, topic, timeout, on_message)
     finally:
         rclpy.shutdown()
 
 
-def _heard(rclpy: Any, node: Any, topic: str, *, deadline: float) -> bytes:  # noqa: ANN401  rclpy has no types
+def _listen(
+    rclpy: Any,  # noqa: ANN401  rclpy has no types
+    node: Any,  # noqa: ANN401
+    topic: str,
+    timeout: float,
+    on_message: Callable[[str, bytes], bool],
+) -> None:
     messages: list[bytes] = []
-    subscription = None
+    subscription, kind = None, ""
+    deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
-        publishers = node.get_publishers_info_by_topic(topic)
-        if publishers and subscription is None:
-            kind = _type(publishers[0].topic_type)
+        publishers = [] if subscription else node.get_publishers_info_by_topic(topic)
+        if publishers:
+            kind = publishers[0].topic_type
             quality = _quality(publishers)
-            subscription = node.create_subscription(kind, topic, messages.append, quality, raw=True)
+            subscription = node.create_subscription(_type(kind), topic, messages.append, quality, raw=True)
         rclpy.spin_once(node, timeout_sec=TURN)
-        if messages:
-            return messages[0]
+        while messages:
+            deadline = time.monotonic() + timeout
+            if not on_message(kind, messages.pop(0)):
+                return
     raise NoMessage("its publisher sends nothing" if subscription else "nobody publishes it")
+
+
+def show(kind: str, data: bytes) -> bool:
+    """Print a message as a line of JSON."""
+    line = {"type": kind, "at": time.time(), "data": base64.b64encode(data).decode()}
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
+    return True
+
+
+def end_with_input() -> None:
+    """End this program as soon as its input ends or falls silent, as when the connection to the desktop is lost."""
+
+    def watch() -> None:
+        while select.select([0], [], [], SIGN_OF_LIFE)[0] and os.read(0, 1):
+            pass
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _type(name: str) -> Any:  # noqa: ANN401  the class of a message
@@ -102,22 +153,28 @@ def _quality(publishers: Any) -> Any:  # noqa: ANN401  a quality of service of r
 
 
 def main() -> int:
-    """Read one message: 0 when it came, otherwise 1 and the reason."""
+    """Read one message: 0 when it came, otherwise 1 and the reason; 3 with ``--all`` if there is no ROS here."""
     options = argparse.ArgumentParser(description="Read one message of a ROS 2 topic.")
     options.add_argument("topic", help="a relative name follows ROS_NAMESPACE")
     options.add_argument("--timeout", type=float, default=5.0, metavar="SECONDS")
+    options.add_argument("--all", action="store_true", help="print all messages, until standard input ends")
     asked = options.parse_args()
     if "AMENT_PREFIX_PATH" not in os.environ:
         environment = adopted(Path("/proc"))
         if environment:
             # The libraries of ROS are found by LD_LIBRARY_PATH, which counts only at the start of a program.
-            os.execve(sys.executable, [sys.executable, *sys.argv], environment)  # noqa: S606  no shell is wanted
+            command = (
+                Path("/proc/self/cmdline").read_bytes().split(b"\0")[:-1]
+            )  # with -c, sys.argv lacks the program
+            os.execve(sys.executable, command, {**environment, **overruled()})  # noqa: S606  no shell is wanted
+    if asked.all:
+        end_with_input()
     topic = resolved(asked.topic, os.environ.get("ROS_NAMESPACE", ""))
     try:
-        first_message(topic, timeout=asked.timeout)
+        listen(topic, timeout=asked.timeout, on_message=show if asked.all else lambda *_: False)
     except NoMessage as problem:
         sys.stdout.write(f"{topic}: {problem}\n")
-        return 1
+        return NO_ROS if asked.all and isinstance(problem, NoRos) else 1
     except Exception as problem:  # noqa: BLE001  Docker shows one line of a check, and a traceback has more
         sys.stdout.write(f"{topic}: {type(problem).__name__}: {str(problem).partition(chr(10))[0]}\n")
         return 1

@@ -1,8 +1,9 @@
-"""Which participants and publishers of one robot has a listener heard, and which messages of a topic?
+"""Which participants, publishers and subscribers of one robot has a listener heard, and which messages of some topics?
 
 `Graph` is a listener without sockets: datagrams go in, datagrams to send and messages come out. It joins the domain as a
-participant with one reader. The reader asks for nothing that a publisher could refuse. Only if all publishers of the
-topic keep their messages for those who come later, it asks for these too; that needs answers to their heartbeats.
+participant with a reader for each topic that it follows. The readers ask for nothing that a publisher could refuse. Only if
+all publishers of a topic keep their messages for those who come later, its reader asks for these too; that needs answers to
+their heartbeats.
 """
 
 from __future__ import annotations
@@ -11,21 +12,25 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from fleet.ros import rtps
+from fleet.ros import quality, rtps
+from fleet.ros import rtps_discovery as discovery
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
-    from fleet.ros.rtps import Data, Fragment, Gap, Heartbeat, Packet, Participant, Place, Writer
+    from fleet.ros.rtps import Data, Fragment, Gap, Heartbeat, Packet
+    from fleet.ros.rtps_discovery import Endpoint, Participant, Place
 
     Answers = Iterator[tuple[bytes, Place]]
 
-MOST_PEERS, MOST_STRANGERS, MOST_WRITERS = 256, 64, 4096
+MOST_PEERS, MOST_STRANGERS, MOST_ENDPOINTS, MOST_TOPICS = 256, 64, 4096, 1000
 MOST_AHEAD = 4096
 """Numbers of samples that are remembered beyond a missing one."""
 LARGEST_MESSAGE = 64 << 20
 """Bytes; more than any camera image. Larger ones are left out."""
 MOST_FRAGMENTS = 65_536
+PARTS = 20
+"""Parts of a datagram at most: with names of 200 letters each, it has 10 kB then."""
 UNFINISHED = 4
 """Messages whose fragments are kept while some are missing: a lost fragment of an older one does not come any more."""
 
@@ -69,6 +74,7 @@ class Peer:
     by_multicast: bool = False
     knows_us: bool = False
     publications: Received = field(default_factory=Received)
+    subscriptions: Received = field(default_factory=Received)
 
 
 @dataclass(kw_only=True)
@@ -97,8 +103,9 @@ class Pieces:
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """One message of the topic: its DDS type, and its bytes."""
+    """One message: its topic and type as DDS names, and its bytes."""
 
+    topic: str
     type: str
     payload: bytes
 
@@ -106,32 +113,72 @@ class Message:
 class Graph:
     """What was heard so far. ``prefix`` (12 bytes) is the listener's own; ``addresses`` are the robot's.
 
-    ``place`` is where the listener receives; ``topic`` is a ROS name. Times are in seconds.
+    ``place`` is where the listener receives; ``topic`` is the ROS name of a topic to follow. Times are in seconds.
+    ``counting``: messages are counted only, so a large one is a message without bytes as soon as its first part is there.
     """
 
     def __init__(
-        self, *, prefix: bytes, domain: int, place: Place, addresses: Collection[str], topic: str
+        self,
+        *,
+        prefix: bytes,
+        domain: int,
+        place: Place,
+        addresses: Collection[str],
+        topic: str = "",
+        counting: bool = False,
     ) -> None:
         self.domain, self.topic = domain, f"rt{topic}"
         self.peers: dict[bytes, Peer] = {}
-        self.writers: dict[bytes, Writer] = {}
+        self.writers: dict[bytes, Endpoint] = {}
+        self.readers: dict[bytes, Endpoint] = {}
+        """The robot's publishers and subscribers."""
         self.strangers: dict[bytes, str] = {}
         """Participants of the domain that are not the robot's: their addresses."""
         self.messages: deque[Message] = deque()
         self.incomplete = 0
         """The size of the latest message that lacked fragments, in bytes."""
         self._prefix, self._place, self._addresses = prefix, place, frozenset(addresses)
+        self._counting = counting
+        self._followed = {self.topic} if topic else set()
+        self._subscribed: dict[
+            str, str
+        ] = {}  # topics with their types; the place is the number of the subscription
         self._received: dict[bytes, Received] = {}
         self._fragments: dict[tuple[bytes, int], Pieces] = {}
         self._count = 0
+
+    def follow(self, topics: Iterable[str]) -> Answers:
+        """Listen to more topics, which are DDS names. Gives the datagrams that say so."""
+        self._followed |= set(topics)
+        for found in list(self.writers.values()):
+            self._subscribe(found)
+        for peer in self.peers.values():
+            yield from self._ask(peer)
+
+    def _subscribe(self, publisher: Endpoint) -> None:
+        topic = publisher.topic
+        if topic in self._followed and topic not in self._subscribed and len(self._subscribed) < MOST_TOPICS:
+            self._subscribed[topic] = publisher.type
+            for peer in self.peers.values():
+                peer.knows_us = False
 
     def announcement(self) -> bytes:
         """Return the datagram that makes the listener known."""
         return rtps.announcement(self._prefix, domain=self.domain, place=self._place)
 
-    def publishers(self) -> list[Writer]:
-        """Return the topic's publishers."""
-        return [writer for writer in self.writers.values() if writer.topic == self.topic]
+    def publishers(self, topic: str = "") -> list[Endpoint]:
+        """Return the publishers of a topic (a DDS name), or else of the one that was asked for."""
+        return [writer for writer in self.writers.values() if writer.topic == (topic or self.topic)]
+
+    def unmatched(self, topic: str = "") -> tuple[str, ...]:
+        """Return a sentence for each subscriber of the robot that no publisher of a topic sends anything to."""
+        publishers = self.publishers(topic)
+        found = []
+        for reader in self.readers.values() if publishers else ():
+            if reader.topic == (topic or self.topic):
+                reasons = [_reasons(one, reader) for one in publishers]
+                found += [] if () in reasons else [" and ".join(reasons[0])]
+        return tuple(dict.fromkeys(found))
 
     def receive(self, datagram: bytes, *, source: str, multicast: bool, now: float) -> Answers:
         """Take in a datagram, and give the datagrams that answer it, with their places."""
@@ -147,18 +194,16 @@ class Graph:
             match part:
                 case rtps.Data(writer=rtps.ANNOUNCER):
                     yield from self._announced(part, packet.prefix, source, multicast=multicast, now=now)
-                case rtps.Data(writer=rtps.PUBLICATIONS) if peer:
-                    yield from self._published(part, peer)
-                case rtps.Data() if publisher := self._wanted(packet.prefix + part.writer):
-                    self._sample(publisher, part.number, part.payload)
-                case rtps.Fragment() if publisher := self._wanted(packet.prefix + part.writer):
-                    self._fragment(publisher, part)
+                case rtps.Data(writer=rtps.PUBLICATIONS | rtps.SUBSCRIPTIONS) if peer:
+                    yield from self._discovered(part, peer)
+                case rtps.Data() | rtps.Fragment() if publisher := self._wanted(packet.prefix + part.writer):
+                    self._arrived(publisher, part)
                 case rtps.Heartbeat() if peer:
                     yield from self._heartbeat(part, peer)
                 case rtps.Gap() if peer:
                     self._gap(part, peer)
-                case rtps.Acknack(writer=rtps.SUBSCRIPTIONS) if peer and part.base > 1:
-                    peer.knows_us = True
+                case rtps.Acknack(writer=rtps.SUBSCRIPTIONS) if peer and self._subscribed:
+                    peer.knows_us |= part.base > len(self._subscribed)
                 case _:
                     pass
 
@@ -176,15 +221,15 @@ class Graph:
             for place in self._places(peer.about.meta, peer):
                 yield rtps.farewell(self._prefix), place
 
-    def _wanted(self, guid: bytes) -> Writer | None:
+    def _wanted(self, guid: bytes) -> Endpoint | None:
         found = self.writers.get(guid)
-        return found if found and found.topic == self.topic else None
+        return found if found and found.topic in self._subscribed else None
 
     def _announced(self, data: Data, prefix: bytes, source: str, *, multicast: bool, now: float) -> Answers:
         if data.gone:
             self._forget(data.gone[:12])
             return
-        about = rtps.participant(data.payload, prefix=prefix)
+        about = discovery.participant(data.payload, prefix=prefix)
         if about.prefix != prefix or about.domain not in (None, self.domain):
             return
         if not self._addresses & {source, *(address for address, _ in (*about.meta, *about.data))}:
@@ -201,35 +246,45 @@ class Graph:
 
     def _forget(self, prefix: bytes) -> None:
         self.peers.pop(prefix, None)
-        for guid in [guid for guid in self.writers if guid[:12] == prefix]:
+        for guid in [guid for guid in (*self.writers, *self.readers) if guid[:12] == prefix]:
             self._end(guid)
 
     def _end(self, guid: bytes) -> None:
         self.writers.pop(guid, None)
+        self.readers.pop(guid, None)
         self._received.pop(guid, None)
         for key in [key for key in self._fragments if key[0] == guid]:
             del self._fragments[key]
 
-    def _published(self, data: Data, peer: Peer) -> Answers:
-        if not peer.publications.add(data.number):
+    def _discovered(self, data: Data, peer: Peer) -> Answers:
+        """Note a publisher or subscriber that a peer has, or that has ended."""
+        publishes = data.writer == rtps.PUBLICATIONS
+        if not (peer.publications if publishes else peer.subscriptions).add(data.number):
             return
         if data.gone:
             if data.gone[:12] == peer.about.prefix:
                 self._end(data.gone)
             return
-        found = rtps.writer(data.payload)
-        if found and found.guid[:12] == peer.about.prefix and len(self.writers) < MOST_WRITERS:
-            self.writers[found.guid] = found
-            if found.topic == self.topic:
+        found = discovery.endpoint(data.payload, publishes=publishes)
+        there = self.writers if publishes else self.readers
+        if not found or found.guid[:12] != peer.about.prefix or len(there) >= MOST_ENDPOINTS:
+            return
+        there[found.guid] = found
+        if publishes:
+            self._subscribe(found)
+            if found.topic in self._subscribed:
                 yield from self._ask(peer)
 
     def _heartbeat(self, part: Heartbeat, peer: Peer) -> Answers:
         """Answer which samples are missing: a writer sends them only to those who ask."""
-        guid = peer.about.prefix + part.writer
+        publisher = self._wanted(peer.about.prefix + part.writer)
         if part.writer == rtps.PUBLICATIONS:
             received, reader, places = peer.publications, rtps.PUBLICATIONS_READER, peer.about.meta
-        elif self._wanted(guid) and self._durable():
-            received, reader = self._received.setdefault(guid, Received()), rtps.OUR_READER
+        elif part.writer == rtps.SUBSCRIPTIONS:
+            received, reader, places = peer.subscriptions, rtps.SUBSCRIPTIONS_READER, peer.about.meta
+        elif publisher and self._durable(publisher.topic):
+            received = self._received.setdefault(publisher.guid, Received())
+            reader = rtps.reader(self._number(publisher.topic))
             places = peer.about.data or peer.about.meta
         else:
             return
@@ -244,43 +299,48 @@ class Graph:
             yield rtps.to(self._prefix, peer.about.prefix, answer), place
 
     def _gap(self, part: Gap, peer: Peer) -> None:
-        received = (
-            peer.publications
-            if part.writer == rtps.PUBLICATIONS
-            else self._received.get(peer.about.prefix + part.writer)
-        )
+        built_in = {rtps.PUBLICATIONS: peer.publications, rtps.SUBSCRIPTIONS: peer.subscriptions}
+        received = built_in.get(part.writer) or self._received.get(peer.about.prefix + part.writer)
         if received and part.first <= received.missing(0)[0]:
             received.skip_to(part.base)
 
     def _ask(self, peer: Peer) -> Answers:
-        """Ask a peer for its publishers, and tell it the subscription as soon as the topic's type is known."""
+        """Ask a peer for its publishers and subscribers, and tell it the subscriptions whose types are known."""
         self._count += 1
-        base, _ = peer.publications.missing(0)
-        ask = rtps.acknack(
-            rtps.PUBLICATIONS_READER,
-            rtps.PUBLICATIONS,
-            base=base,
-            missing=(),
-            count=self._count,
-            final=False,
+        asked = (
+            (rtps.PUBLICATIONS_READER, rtps.PUBLICATIONS, peer.publications),
+            (rtps.SUBSCRIPTIONS_READER, rtps.SUBSCRIPTIONS, peer.subscriptions),
         )
-        parts = [ask]
-        if publishers := self.publishers():
-            kind = publishers[0].type
-            durable = self._durable()
-            parts.append(
-                rtps.subscription(
-                    self._prefix, topic=self.topic, kind=kind, durable=durable, place=self._place
-                )
+        parts = [
+            rtps.acknack(
+                reader, writer, base=received.missing(0)[0], missing=(), count=self._count, final=False
             )
-            parts.append(rtps.heartbeat(self._count))
+            for reader, writer, received in asked
+        ]
+        parts += [self._subscription(topic, kind) for topic, kind in self._subscribed.items()]
+        if self._subscribed:
+            parts.append(rtps.heartbeat(self._count, last=len(self._subscribed)))
         for place in self._places(peer.about.meta, peer):
             yield rtps.announcement(self._prefix, domain=self.domain, place=self._place), place
-            yield rtps.to(self._prefix, peer.about.prefix, *parts), place
+            for at in range(0, len(parts), PARTS):
+                yield rtps.to(self._prefix, peer.about.prefix, *parts[at : at + PARTS]), place
 
-    def _durable(self) -> bool:
-        publishers = self.publishers()
-        return bool(publishers) and all(writer.durable and writer.reliable for writer in publishers)
+    def _subscription(self, topic: str, kind: str) -> bytes:
+        return rtps.subscription(
+            self._prefix,
+            number=self._number(topic),
+            topic=topic,
+            kind=kind,
+            durable=self._durable(topic),
+            place=self._place,
+        )
+
+    def _number(self, topic: str) -> int:
+        return list(self._subscribed).index(topic) + 1
+
+    def _durable(self, topic: str) -> bool:
+        publishers = self.publishers(topic)
+        return not self._counting and bool(publishers) and all(writer.keeps for writer in publishers)
 
     def _places(self, places: Collection[Place], peer: Peer) -> list[Place]:
         """Return the places where a peer is reached: those at the robot's address, if it names any.
@@ -290,16 +350,25 @@ class Graph:
         near = [place for place in places if place[0] in self._addresses or place[0] == peer.source]
         return near or list(places)
 
-    def _sample(self, publisher: Writer, number: int, payload: bytes) -> None:
+    def _arrived(self, publisher: Endpoint, part: Data | Fragment) -> None:
+        if isinstance(part, rtps.Data):
+            self._sample(publisher, part.number, part.payload)
+        elif not self._counting:
+            self._fragment(publisher, part)
+        elif part.first == 1:
+            self._sample(publisher, part.number, b"")
+
+    def _sample(self, publisher: Endpoint, number: int, payload: bytes) -> None:
         received = self._received.setdefault(publisher.guid, Received())
         if not received.add(number):
             return
-        if not self._durable():
+        if not self._durable(publisher.topic):
             received.skip_to(number + 1)  # what is lost, or older, does not come any more
-        if payload:
-            self.messages.append(Message(type=publisher.type, payload=payload))
+        if payload or self._counting:
+            message = Message(topic=publisher.topic, type=publisher.type, payload=payload)
+            self.messages.append(message)
 
-    def _fragment(self, publisher: Writer, part: Fragment) -> None:
+    def _fragment(self, publisher: Endpoint, part: Fragment) -> None:
         if part.total > LARGEST_MESSAGE:
             self.incomplete = part.total
             return
@@ -312,3 +381,12 @@ class Graph:
             del self._fragments[key]
             self.incomplete = 0
             self._sample(publisher, part.number, whole)
+
+
+def _reasons(publisher: Endpoint, subscriber: Endpoint) -> tuple[str, ...]:
+    """Return why a publisher of a topic does not send to a subscriber of it; nothing if it does."""
+    if publisher.type != subscriber.type:
+        return (
+            f"its type is {discovery.ros_type(subscriber.type)}, and the publisher has {discovery.ros_type(publisher.type)}",
+        )
+    return quality.mismatches(offered=publisher.quality, wanted=subscriber.quality)

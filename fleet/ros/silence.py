@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 DOMAINS = range(233)
 _GROUP = "0100FFEF"  # 239.255.0.1, as Linux writes it on the processors that robots have
+_VIA = "`fab listen --via robot` listens in a container of the robot, over SSH"
 _LOCAL_ONLY = {"LOCALHOST", "OFF"}
 
 
@@ -177,7 +178,7 @@ def _no_program(robot: Robot, network: Network) -> RobotError:
     if fenced:
         return NotAsPlanned(
             f"{fenced[0].name} has a network of its own ({fenced[0].network}), which no other computer can look into",
-            cure="write `network_mode: host` into its service, then run `fab ship`",
+            cure=f"write `network_mode: host` into its service, then run `fab ship`; {_VIA}",
         )
     status = f"`fab status --hosts {robot.name}` shows whether its containers run"
     if not network.containers:
@@ -187,11 +188,11 @@ def _no_program(robot: Robot, network: Network) -> RobotError:
     )
 
 
-def by_zenoh(robot: Robot, container: str = "CONTAINER") -> RobotError:
+def by_zenoh(robot: Robot, container: str = "") -> RobotError:
     """Explain that a robot's middleware is one that `fab listen` does not speak."""
     return NotAsPlanned(
-        f"{robot.name} uses rmw_zenoh_cpp, and `fab listen` hears only middlewares that speak DDS",
-        cure=f"fab run --hosts {robot.name} -- docker exec {container} /ros_entrypoint.sh ros2 topic echo --once TOPIC",
+        f"{container or robot.name} uses rmw_zenoh_cpp, and `fab listen` hears only middlewares that speak DDS",
+        cure=f"{_VIA}, with the container's own middleware",
     )
 
 
@@ -199,7 +200,7 @@ def _firewall(robot: Robot, domain: int) -> str:
     first = 7400 + 250 * domain
     return (
         f"check for a firewall on {robot.name} and on this computer: ROS 2 uses UDP, in domain {domain} the ports "
-        f"{first} to {first + 249}, and any port for the messages to this computer"
+        f"{first} to {first + 249}, and any port for the messages to this computer; without UDP, {_VIA}"
     )
 
 
@@ -208,7 +209,7 @@ def _one_way(robot: Robot, graph: Graph) -> RobotError:
     if any(peer.about.secured for peer in graph.peers.values()):
         return NotAsPlanned(
             f"the nodes of {robot.name} talk only to those with a key (SROS 2)",
-            cure="use `ros2 topic echo` in a container that has one",
+            cure=f"a container has one: {_VIA}",
         )
     return Unreachable(
         f"the nodes of {robot.name} announce themselves, but do not answer this computer",

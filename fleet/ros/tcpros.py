@@ -9,28 +9,36 @@ one real message was read::
 
     python3 tcpros.py /time --timeout 5
 
+With ``--all``, it prints each message as a line of JSON, until its input ends: so `fab listen --via robot` hears a topic.
 Everything has a time limit: a ``deadline`` is a time of `time.monotonic`, in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import contextlib
 import errno
+import json
 import os
+import select
 import socket
 import struct
 import sys
 import threading
 import time
 import xmlrpc.client
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 CALLER = "/fleet_listener"
 LARGEST_ANSWER = 8 << 20  # bytes; a graph of fifty thousand topics, by far the largest message definition
 LARGEST_MESSAGE = 256 << 20  # bytes; more than any camera or laser sends
+SIGN_OF_LIFE = 45.0  # a desktop that listens sends a byte every ten seconds
 
 
 class GraphError(Exception):
@@ -269,15 +277,49 @@ def resolved(topic: str, namespace: str) -> str:
 
 def first_message(master: str, topic: str, *, deadline: float) -> bytes:
     """Read one message from whoever publishes the topic. Raises `GraphError`, the last publisher's."""
+    return next(messages(master, topic, deadline=deadline))[1]
+
+
+def messages(
+    master: str, topic: str, *, deadline: float, timeout: float = 0.0
+) -> Iterator[tuple[Stream, bytes]]:
+    """Yield the messages of the first publisher that sends one. The later ones have ``timeout`` seconds each.
+
+    Ends only by raising `GraphError`: the last publisher's, or that of the one that sent messages.
+    """
     problem: GraphError = NotPublished(f"nobody publishes {topic} at {master}")
     for node in graph(master, deadline=deadline).publishers.get(topic, []):
+        came = False
         try:
             host, port = data_address(node_uri(master, node, deadline=deadline), topic, deadline=deadline)
             with contextlib.closing(Stream(host, port, topic, deadline=deadline)) as stream:
-                return stream.read(max(0.0, deadline - time.monotonic()))
+                while True:
+                    data = stream.read(timeout if came else max(0.0, deadline - time.monotonic()))
+                    came = True
+                    yield stream, data
         except GraphError as error:
             problem = error
+            if came:
+                break
     raise problem
+
+
+def show(stream: Stream, data: bytes) -> None:
+    """Print a message as a line of JSON."""
+    line = {"type": stream.type, "definition": stream.definition, "at": time.time()}
+    sys.stdout.write(json.dumps({**line, "data": base64.b64encode(data).decode()}) + "\n")
+    sys.stdout.flush()
+
+
+def end_with_input() -> None:
+    """End this program as soon as its input ends or falls silent, as when the connection to the desktop is lost."""
+
+    def watch() -> None:
+        while select.select([0], [], [], SIGN_OF_LIFE)[0] and os.read(0, 1):
+            pass
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def main() -> int:
@@ -286,10 +328,16 @@ def main() -> int:
     options.add_argument("topic", help="a relative name follows ROS_NAMESPACE")
     options.add_argument("--master", default=os.environ.get("ROS_MASTER_URI", "http://localhost:11311"))
     options.add_argument("--timeout", type=float, default=5.0, metavar="SECONDS")
+    options.add_argument("--all", action="store_true", help="print all messages, until standard input ends")
     asked = options.parse_args()
     topic = resolved(asked.topic, os.environ.get("ROS_NAMESPACE", ""))
+    deadline = time.monotonic() + asked.timeout
     try:
-        first_message(asked.master, topic, deadline=time.monotonic() + asked.timeout)
+        if asked.all:
+            end_with_input()
+            for stream, data in messages(asked.master, topic, deadline=deadline, timeout=asked.timeout):
+                show(stream, data)
+        first_message(asked.master, topic, deadline=deadline)
     except GraphError as problem:
         sys.stdout.write(f"{topic}: {problem}\n")
         return 1

@@ -1,4 +1,4 @@
-"""Where are the files of the example, and which are they? The talker of fleet's repository, as it is.
+"""Where are the files of the example, and which are they? Those of fleet's repository, as they are.
 
 The wheel has a copy of them beside this module; a checkout has them where they are edited.
 """
@@ -12,12 +12,12 @@ PARTS = (
     *(".dockerignore", "inventory.yaml", "inventory.schema.json"),
     *("docker/Dockerfile", "docker/compose.yaml", "docker/cross-install.sh"),
     *("fabfile.py", "fabric.yaml"),  # its inventory says `fab`, and so a person may
-    *("docker/entrypoint.sh", "docker/python_logging.yaml", "docker/roslaunch.py"),
+    *("docker/entrypoint.sh", "docker/python_logging.yaml", "docker/roslaunch.py", "docker/ros2"),
     "talker",
 )
 """Files and folders of the repository that are only the example's; ``pyproject.toml`` packs the same ones into the wheel."""
 
-SHARED = ("fleet/ros/tcpros.py",)
+SHARED = ("fleet/ros/tcpros.py", "fleet/ros/ros2_check.py")
 """Files of the program that the example builds into its image; the wheel has them at the same place as a checkout."""
 
 _IN_THE_WHEEL = Path(__file__).parent / "example"

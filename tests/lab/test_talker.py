@@ -69,7 +69,7 @@ def first_message(robot: Robot, *, within: float) -> str:
     while True:
         try:
             with closing(listen.messages(robot, "time", timeout=10)) as arriving:
-                return str(next(arriving))
+                return next(arriving).text()
         except RobotError:
             if time.monotonic() > end:
                 raise

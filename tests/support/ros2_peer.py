@@ -86,10 +86,12 @@ def announcement(prefix: bytes, place: tuple[str, int], *, domain: int = 0, extr
 
 def publication(
     prefix: bytes, number: int, topic: str, kind: str = "std_msgs::msg::dds_::String_", *, durable: bool = False,
-    writer: bytes = WRITER,
+    reliable: bool = True, writer: bytes = WRITER,
 ) -> bytes:  # fmt: skip
     said = parameter(0x5A, prefix + writer) + parameter(0x05, string(topic)) + parameter(0x07, string(kind))
-    said += parameter(0x1A, struct.pack("<IiI", 2, 0, 0)) + parameter(0x1D, struct.pack("<I", int(durable)))
+    said += parameter(0x1A, struct.pack("<IiI", 2 if reliable else 1, 0, 0)) + parameter(
+        0x1D, struct.pack("<I", int(durable))
+    )
     return data(PUBLICATIONS, number, b"\0\3\0\0" + said + END)
 
 

@@ -105,6 +105,18 @@ def test_a_build_warns_about_services_that_will_not_hear_each_other(own: Project
     assert (done.code, "docker" in done.out) == (0, True)
 
 
+def test_a_build_refuses_them_if_the_inventory_is_strict(own: Project) -> None:
+    """Before anything is built, with the cure."""
+    service = "{image: x, build: ., network_mode: host, environment: [ROS_DOMAIN_ID]}"
+    (own.folder / "stack/compose.yaml").write_text(f"services: {{talker: {service}, listener: {service}}}\n")
+    inventory = own.folder / "inventory.yaml"
+    inventory.write_text(inventory.read_text().replace("defaults: {", "defaults: {ros: {strict: true}, "))
+    done = own.fleet("build", "--hosts", "pi1")
+    assert (done.code, done.out) == (2, "")
+    assert "pi1: no message of ROS 2 will arrive between listener and talker" in done.err
+    assert "`ipc: host`" in done.err
+
+
 class Shelf:
     """A store whose images are all for another platform, or whose names Docker refuses."""
 

@@ -3,18 +3,24 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.cli import find, json_output, status
+from fleet.cli import find, heard, json_output, status
 from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
 from fleet.rollout.sighting import Candidate, Sighting
+from fleet.ros.measure import Report
+from fleet.ros.message import Message
 from fleet.ros.topics import Topic
 from tests.support.samples import PI, container, facts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 PAGE = (Path(__file__).parents[3] / "docs/reference/json.md").read_text(encoding="utf-8")
 
@@ -68,7 +74,7 @@ STATUS = {
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform", "boot"),
-    *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace")),
+    *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace", "strict")),
     *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
     *("hardware.devices", "hardware.udev", "hardware.interfaces", "hardware.groups"),
@@ -113,6 +119,11 @@ WHOLE = PI.model_copy(
     }
 )
 SEEN = Sighting(candidate=Candidate(address="192.0.2.7"), fingerprint="SHA256:abc", key="new")
+LISTENED: list[Mapping[str, object]] = []
+"""A message and a report, as they are printed."""
+MESSAGE = Message(at=1.0, size=1, read=dict)
+heard.as_json("/time", LISTENED.append)("pi1", MESSAGE, None)
+heard.report_as_json("/time", LISTENED.append)("pi1", Report(rate=1, shortest=1, longest=1, bytes=1), None)
 PRINTED = {
     "`fab status --json`": (
         STATUS,
@@ -122,8 +133,16 @@ PRINTED = {
     "`fab find --json`": (FOUND, find.record(SEEN, model="")),
     "`fab inventory --json`": (INVENTORY, WHOLE.model_dump(mode="json")),
     "`fab topics --json`": (
-        {"name", "type", "publishers"},
+        {"name", "type", "publishers", "subscribers", "quality", "unmatched", "rate"},
         Topic(name="/time", type="std_msgs/msg/Header", publishers=1),
+    ),
+    "`fab listen --json`": ({"robot", "topic", "at", "message"}, LISTENED[0]),
+    "`fab listen --rate --json` and `--delay --json`": (
+        {
+            *("robot", "topic", "rate", "shortest", "longest", "bytes", "delay", "delay_least", "delay_most"),
+            *("clock_ahead", "clock_error"),
+        },
+        LISTENED[1],
     ),
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.cli.stacks import Stacks, environment_of, stacks_there, warnings_of
-from fleet.config.inventory import Ros, StackFiles
+from fleet.cli.stacks import Stacks, environment_of, stacks_there
+from fleet.config.inventory import StackFiles
+from fleet.config.ros import Ros
 from fleet.errors import InventoryError, NotReady, UsageError
 from fleet.robot.facts import StackFacts
 from tests.support.samples import PI, TALKER, facts
@@ -44,19 +45,6 @@ def test_a_robots_values_reach_its_stack(tmp_path: Path) -> None:
         (found,) = stacks.of([one])["pi1"]
         environment = found.stack.model["services"]["node"]["environment"]
         assert environment == {"COLOUR": "red", "ROS_HOSTNAME": "me", "FLEET_ROBOT": "pi1"}
-
-
-def test_a_stack_whose_services_will_not_hear_each_other_is_warned_about(tmp_path: Path) -> None:
-    """Beside what Compose warns about, and under the robot's name."""
-    one = robot(tmp_path, "a", ros=Ros(version=2, domain=7))
-    service = "{image: talker, network_mode: host, environment: [ROS_DOMAIN_ID]}"
-    one.stacks[0].files[0].write_text(f"name: a\nservices: {{talker: {service}, listener: {service}}}\n")
-    with Stacks() as stacks:
-        found = stacks.of([one])
-        ((text,),) = warnings_of(found).values()
-        assert "no message of ROS 2 will arrive between listener and talker" in text
-        (read,) = found["pi1"]
-        assert read.stack.model["services"]["talker"]["environment"] == {"ROS_DOMAIN_ID": "7"}
 
 
 def test_files_of_the_inventory_are_in_the_release(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.config import yamlfile
-from fleet.config.inventory import Docker, Inventory, Robot, Ros, StackFiles, json_schema, load
+from fleet.config.inventory import Docker, Inventory, Robot, StackFiles, json_schema, load
+from fleet.config.ros import Ros
 from fleet.errors import InventoryError, SelectionError
 from tests.support.inventory_files import inventory, write
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.config.inventory import Docker, Ros, load
+from fleet.config.inventory import Docker, load
+from fleet.config.ros import Ros
 from tests.support.inventory_files import inventory, problems, write
 
 

@@ -123,6 +123,19 @@ def test_the_identity_is_the_digest_of_all_of_the_configuration(shelf: Shelf, st
     assert len(seen) == 5
 
 
+def test_what_is_in_an_image(shelf: Shelf, store: Store) -> None:
+    """Its variables, and the names of a folder; it does not run for that, and no container is left."""
+    shelf.load("latest-amd64", config=CONFIG)
+    shelf.load("latest-arm64", architecture="arm64")
+    found = store.find(shelf.name, "linux/amd64")
+    assert store.environment(found) == {"PATH": "/bin", "GREETING": "hello you"}
+    for image in (found, store.find(shelf.name, "linux/arm64")):
+        assert store.names_in(image, "/data") == {"data"}
+        assert store.names_in(image, "/opt/ros") == frozenset()
+        left = ("docker", "ps", "--all", "--quiet", "--filter", f"ancestor={image.reference}")
+        assert not subprocess.run(left, check=True, capture_output=True).stdout
+
+
 @pytest.mark.parametrize("name", ["Talker", "a:1:2", "http://registry/x", "a b"])
 def test_a_name_that_docker_refuses_is_refused(store: Store, name: str) -> None:
     """With Docker's reason."""

@@ -11,18 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.config.inventory import Robot, Ros
 from fleet.errors import NotReady
 from fleet.rollout import stream
 from fleet.rollout.stream import LONGEST_LINE, Lines
 from tests.support.homes import Home, Told, start, statuses
-from tests.support.ros2_peer import Peer
-from tests.support.ros_peers import Peers, string_message
 from tests.support.sshd import free_port
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
+    from fleet.config.inventory import Robot
     from fleet.robot.facts import Facts
     from tests.support.sshd import Sshds
 
@@ -178,58 +174,3 @@ def test_logs_are_followed_until_ctrl_c(home: Home) -> None:
     while not (home.path / "ended").exists():  # `cat` read the end of its input
         assert time.monotonic() < end
         time.sleep(0.01)
-
-
-@pytest.fixture
-def talker() -> Iterator[Robot]:
-    peers = Peers(messages=(string_message("one"), string_message("two\nlines"), string_message("three")))
-    with peers.run():
-        yield Robot(name="pi1", address="127.0.0.1", ros=Ros(master=peers.master))
-
-
-def test_so_many_messages_of_a_topic(talker: Robot) -> None:
-    """Each line of a message under the robot's name; it ends when all are there."""
-    printed = Printed()
-    (outcome,) = stream.topics(
-        [talker], "/time", count=2, timeout=5, printer=printed, notes=Printed(), progress=Told()
-    )
-    assert (outcome.status, outcome.summary) == ("done", "received 2 messages on /time")
-    assert len(printed.of("pi1")) >= 2
-    assert printed.of("pi1")[0] == 'data: "one"'
-
-
-def test_a_topic_that_falls_silent(talker: Robot) -> None:
-    """What came is shown, and the silence is this robot's failure."""
-    printed = Printed()
-    (outcome,) = stream.topics(
-        [talker], "/time", count=0, timeout=0.5, printer=printed, notes=Printed(), progress=Told()
-    )
-    assert outcome.status == "failed"
-    assert "silent for 0.5 s" in outcome.reason
-    assert printed.of("pi1")[-1] == 'data: "three"'
-
-
-def test_messages_of_a_robot_with_ros_2(sshds: Sshds) -> None:
-    """They come over the network, and the definition of their type over SSH, out of the robot's container."""
-    domain = 59 - int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-    home = start(sshds, "pi1")
-    definition = sshds.folder / "ros/share/std_msgs/msg/String.msg"
-    definition.parent.mkdir(parents=True)
-    definition.write_text("string data\n")
-    docker = sshds.folder / "identity of pi1/docker"
-    docker.write_text(
-        f'#!/bin/sh\n[ "$1" = exec ] || exec echo container\nshift 2; AMENT_PREFIX_PATH="{sshds.folder}/ros" exec "$@"\n'
-    )
-    docker.chmod(0o755)
-    robot = home.robot.model_copy(update={"ros": Ros(version=2, domain=domain)})
-    printed, notes = Printed(), Printed()
-    with Peer(domain=domain).run():
-        (outcome,) = stream.topics(
-            [robot], "/chatter", count=2, timeout=5, printer=printed, notes=notes, progress=Told()
-        )
-    assert (outcome.status, printed.of("pi1")) == ("done", ['data: "noon"', 'data: "later"'])
-    (outcome,) = stream.topics(
-        [robot], "/chatter", count=1, timeout=0.5, printer=printed, notes=notes, progress=Told()
-    )
-    assert outcome.status in ("failed", "unreachable")
-    assert outcome.cure

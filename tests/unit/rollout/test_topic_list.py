@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from fleet.config.inventory import Robot, Ros
+from fleet.config.inventory import Robot
+from fleet.config.ros import Ros
 from fleet.rollout import topic_list
 from fleet.ros.topics import Topic
 from tests.support.homes import Told, statuses

@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from fleet.config import validation
-from fleet.config.inventory import Robot, Ros
+from fleet.config.inventory import Robot
+from fleet.config.ros import Ros
 from fleet.ros import environment
 
 

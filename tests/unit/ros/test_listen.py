@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.config.inventory import Robot, Ros
+from fleet.config.inventory import Robot
+from fleet.config.ros import Ros
 from fleet.errors import LinkLost, NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.ros import listen, tcpros
 from tests.support.ros_peers import Peers, answering, serving, string_message
@@ -42,7 +43,7 @@ def robot(master_port: int, *, address: str = "127.0.0.1", **settings: str) -> R
 
 def first(of: Robot, topic: str = "/time", *, timeout: float = 5) -> str:
     with contextlib.closing(listen.messages(of, topic, timeout=timeout)) as arriving:
-        return next(arriving)
+        return next(arriving).text()
 
 
 def failure(of: Robot, topic: str = "/time", *, timeout: float = 5) -> RobotError:
@@ -55,7 +56,7 @@ def failure(of: Robot, topic: str = "/time", *, timeout: float = 5) -> RobotErro
 def test_messages_arrive_in_order(peers: Peers) -> None:
     """Every message is yielded as text, one after the other."""
     arriving = listen.messages(robot(peers.master_port), "/time", timeout=5)
-    assert [next(arriving), next(arriving)] == ['data: "noon"', 'data: "later"']
+    assert [next(arriving).text(), next(arriving).text()] == ['data: "noon"', 'data: "later"']
 
 
 def test_relative_topic_follows_the_robots_namespace(peers: Peers) -> None:
@@ -213,7 +214,7 @@ def test_publisher_hangs_up(peers: Peers) -> None:
     """It is looked for again, as after a restart: listening goes on, and no message before the end is lost."""
     peers.hang_up = True
     with closing(listen.messages(robot(peers.master_port), "/time", timeout=5)) as arriving:
-        heard = [next(arriving) for _ in range(4)]
+        heard = [next(arriving).text() for _ in range(4)]
     assert heard == ['data: "noon"', 'data: "later"'] * 2
 
 

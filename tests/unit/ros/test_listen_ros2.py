@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.config.inventory import Robot, Ros
+from fleet.config.inventory import Robot
+from fleet.config.ros import Ros
 from fleet.errors import NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.ros import listen_ros2
 from tests.support.ros2_peer import Peer, string_message
@@ -71,7 +72,7 @@ def heard(
     """Two messages."""
     arriving = listen_ros2.messages(of, topic, timeout=timeout, on_robot=on_robot or OnRobot())
     with contextlib.closing(arriving):
-        return [next(arriving), next(arriving)]
+        return [next(arriving).text(), next(arriving).text()]
 
 
 def failure(
@@ -108,13 +109,23 @@ def test_a_large_message(domain: int) -> None:
         assert all(len(text) == 2_000_008 for text in heard(robot(domain)))
 
 
+def test_eight_megabytes(domain: int) -> None:
+    """A large image: 134 pieces, of which none may be missing."""
+    large = string_message("x" * 8_000_000)
+    with Peer(domain=domain, messages=[large] * 20, piece=60_000).run():
+        assert all(len(text) == 8_000_008 for text in heard(robot(domain), timeout=20))
+
+
 def test_a_publisher_that_is_restarted(domain: int) -> None:
     """The new one's messages follow, although it is another participant."""
     arriving = listen_ros2.messages(robot(domain), "/chatter", timeout=5, on_robot=OnRobot())
     with contextlib.closing(arriving):
         for text in ("first", "second"):
             with Peer(domain=domain, messages=[string_message(text)] * 5).run():
-                assert next(part for part in arriving if text in part) == f'data: "{text}"'
+                assert (
+                    next(part for part in (one.text() for one in arriving) if text in part)
+                    == f'data: "{text}"'
+                )
 
 
 def test_mistyped_topic(peer: Peer) -> None:
@@ -146,7 +157,7 @@ def test_a_publisher_that_ignores_us(domain: int) -> None:
 def test_a_publisher_that_falls_silent(peer: Peer) -> None:
     """What came is shown, and then the silence is told."""
     arriving = listen_ros2.messages(robot(peer.domain), "/chatter", timeout=1, on_robot=OnRobot())
-    assert [next(arriving), next(arriving)] == ['data: "noon"', 'data: "later"']
+    assert [next(arriving).text(), next(arriving).text()] == ['data: "noon"', 'data: "later"']
     with pytest.raises(TimedOut, match="/chatter was silent for 1 s"):
         next(arriving)
 
@@ -201,11 +212,11 @@ def test_hostile_datagrams_do_not_disturb(peer: Peer) -> None:
     arriving = listen_ros2.messages(robot(peer.domain), "/chatter", timeout=5, on_robot=OnRobot())
     peer.messages *= 3
     with contextlib.closing(arriving), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as hostile:
-        texts = [next(arriving)]
+        texts = [next(arriving).text()]
         port = next(struct.unpack_from("<I", raw, raw.index(b"\x32\0\x18\0") + 8)[0] for raw in peer.heard)
         for size in range(1, 400):
             hostile.sendto(b"RTPS\2\3\1\x0f" + peer.prefix + os.urandom(size), ("127.0.0.1", port))
-        texts += [next(arriving) for _ in range(5)]
+        texts += [next(arriving).text() for _ in range(5)]
     assert texts == ['data: "noon"', 'data: "later"'] * 3
 
 

@@ -1,15 +1,15 @@
 from __future__ import annotations
 
+import base64
+import json
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+import time
+from pathlib import Path
 
 import pytest
 
 from fleet.ros import ros2_check
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RCLPY = '''
 import os, sys, types
@@ -145,8 +145,7 @@ sys.argv = [{str(ros2_check.__file__)!r}, "/time"]
 spec = importlib.util.spec_from_file_location("check", sys.argv[0])
 check = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(check)
-class Container:  # this computer may have other programs with ROS
-    def __init__(self, path): pass
+class Container(pathlib.PosixPath):  # this computer may have other programs with ROS
     def glob(self, _): return [pathlib.Path("/proc/{program.pid}")]
 check.Path = Container
 sys.exit(check.main())
@@ -157,3 +156,60 @@ sys.exit(check.main())
         finally:
             program.kill()
     assert (done.returncode, done.stdout) == (0, "")
+
+
+def following(ros: Path, topic: str, *, timeout: str = "3") -> subprocess.Popen[str]:
+    """The program as it travels to a container, as a string, with ``--all``."""
+    program = Path(ros2_check.__file__).read_text()
+    argv = (sys.executable, "-c", program, topic, "--timeout", timeout, "--all")
+    environment = {"PYTHONPATH": str(ros), "AMENT_PREFIX_PATH": "/opt", "OFFERED": OFFERED}
+    return subprocess.Popen(
+        argv,
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_all_messages_as_lines(ros: Path) -> None:
+    """Type, time and bytes; it ends when its input ends, as after a lost link, and leaves nothing behind."""
+    with following(ros, "/time") as running:
+        assert running.stdin
+        assert running.stdout
+        first, second = (json.loads(running.stdout.readline()) for _ in range(2))
+        running.stdin.close()
+        assert running.wait(timeout=20) == 0
+        running.stdout.read()
+    assert base64.b64decode(first["data"]) == b"bytes"
+    assert first["type"] == "std_msgs/msg/String"
+    assert time.time() - 60 < first["at"] <= second["at"] <= time.time()
+
+
+def test_all_messages_of_a_silent_topic(ros: Path) -> None:
+    """The reason, and code 1; without ROS it is another code, because the next container may have it."""
+    with following(ros, "/silent", timeout="0.3") as running:
+        assert running.stdout
+        said = running.stdout.read()
+    assert (running.returncode, said) == (1, "/silent: its publisher sends nothing\n")
+    with following(ros / "nothing", "/time") as running:
+        assert running.stdout
+        said = running.stdout.read()
+    assert (running.returncode, said[:38]) == (ros2_check.NO_ROS, "/time: this container has no rclpy (No")
+
+
+def test_our_own_variables_stay() -> None:
+    """Shared memory is switched off for a listener, whatever the container's program has."""
+    done = subprocess.run(
+        (sys.executable, "-c", "from fleet.ros import ros2_check; print(ros2_check.overruled())"),
+        env={
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "HOME": "/",
+            "PYTHONPATH": str(Path(__file__).parents[3]),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "{'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}\n"

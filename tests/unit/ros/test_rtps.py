@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.ros import rtps
+from fleet.ros import rtps, rtps_discovery
 from fleet.ros.rtps import Acknack, Data, Fragment, Gap, Heartbeat
 from tests.support import recorded
 
@@ -33,7 +33,7 @@ def test_announcements_of_real_participants(name: str) -> None:
     (data,) = parts(first)
     assert isinstance(data, Data)
     assert data.writer == rtps.ANNOUNCER
-    said = rtps.participant(data.payload, prefix=first[8:20])
+    said = rtps_discovery.participant(data.payload, prefix=first[8:20])
     assert said.vendor == ("Fast DDS" if name.startswith("fast") else "Cyclone DDS")
     assert (said.prefix, said.domain, said.secured) == (first[8:20], 0, False)
     assert {address for address, _ in (*said.meta, *said.data)} == {recorded.ROBOT}
@@ -47,12 +47,20 @@ def test_publishers_of_real_participants(name: str) -> None:
     for datagram in recorded.datagrams(name):
         for data in parts(datagram):
             if isinstance(data, Data) and data.writer == rtps.PUBLICATIONS:
-                writer = rtps.writer(data.payload)
+                writer = rtps_discovery.endpoint(data.payload, publishes=True)
                 assert writer
                 found[writer.topic] = writer
     time, latched = found["rt/time"], found["rt/map"]
-    assert (time.type, time.reliable, time.durable) == ("builtin_interfaces::msg::dds_::Time_", True, False)
-    assert (latched.type, latched.reliable, latched.durable) == ("std_msgs::msg::dds_::String_", True, True)
+    assert (time.type, time.quality.reliable, time.keeps) == (
+        "builtin_interfaces::msg::dds_::Time_",
+        True,
+        False,
+    )
+    assert (latched.type, latched.quality.reliable, latched.keeps) == (
+        "std_msgs::msg::dds_::String_",
+        True,
+        True,
+    )
 
 
 def test_big_endian() -> None:
@@ -105,20 +113,25 @@ def test_our_announcement_can_be_read() -> None:
     """What is written here is read as it was meant."""
     (data,) = parts(rtps.announcement(ME, domain=7, place=HERE))
     assert isinstance(data, Data)
-    said = rtps.participant(data.payload, prefix=ME)
+    said = rtps_discovery.participant(data.payload, prefix=ME)
     assert (said.prefix, said.domain, said.meta, said.data, said.lease) == (ME, 7, (HERE,), (HERE,), 20.0)
 
 
 def test_our_subscription_asks_for_little_or_for_the_past() -> None:
     """Best effort fits every publisher; only who wants old messages must be reliable."""
     for durable in (False, True):
-        asked = rtps.subscription(ME, topic="rt/time", kind="T", durable=durable, place=HERE)
+        asked = rtps.subscription(ME, number=1, topic="rt/time", kind="T", durable=durable, place=HERE)
         (data,) = parts(rtps.to(ME, PEER, asked))
         assert isinstance(data, Data)
-        said = rtps.writer(data.payload)
+        said = rtps_discovery.endpoint(data.payload, publishes=False)
         assert said
-        assert (said.topic, said.type, said.reliable, said.durable) == ("rt/time", "T", durable, durable)
-        assert said.guid == ME + rtps.OUR_READER
+        assert (said.topic, said.type, said.quality.reliable, bool(said.quality.durability)) == (
+            "rt/time",
+            "T",
+            durable,
+            durable,
+        )
+        assert said.guid == ME + rtps.reader(1)
 
 
 def test_our_farewell() -> None:
@@ -180,13 +193,13 @@ def test_anything(datagram: bytes) -> None:
     assert len(packet.parts) <= len(datagram) // 4
     for data in packet.parts:
         if isinstance(data, Data):
-            rtps.participant(data.payload, prefix=packet.prefix)
-            rtps.writer(data.payload)
+            rtps_discovery.participant(data.payload, prefix=packet.prefix)
+            rtps_discovery.endpoint(data.payload, publishes=True)
             assert len(data.payload) <= len(datagram)
 
 
 def test_a_list_of_parameters_without_end() -> None:
     """A length of zero still takes a step."""
     endless = b"\0\3\0\0" + struct.pack("<HH", 0x50, 0) * 10_000
-    assert rtps.parameters(endless).raw(0x50) == b""
-    assert rtps.writer(endless) is None
+    assert rtps_discovery.parameters(endless).raw(0x50) == b""
+    assert rtps_discovery.endpoint(endless, publishes=True) is None

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
 import struct
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.ros import cdr, rtps, rtps_graph
+from fleet.ros import cdr, rtps, rtps_graph, topics
 from fleet.ros.rtps_graph import Graph, Received
 from tests.support import recorded
 from tests.support.ros2_peer import (
+    END,
     PUBLICATIONS,
+    SUBSCRIPTIONS,
     WRITER,
     announcement,
     data,
@@ -18,22 +21,37 @@ from tests.support.ros2_peer import (
     fragments,
     gone,
     heartbeat,
+    parameter,
     publication,
+    string,
     string_message,
     submessage,
 )
 
+if TYPE_CHECKING:
+    from fleet.ros.rtps_discovery import Place
+
 ME, PEER, OTHER = b"\1\x42" + bytes(10), b"\1\x0f" + bytes(range(10)), b"\1\x0f" + bytes(range(1, 11))
+STRING = "std_msgs::msg::dds_::String_"
 ROBOT, HERE, THERE = "10.0.0.2", ("10.0.0.9", 40_000), ("10.0.0.2", 7410)
 
 
-def graph(topic: str = "/chatter", *, robot: str = ROBOT, place: rtps.Place = HERE) -> Graph:
+def subscription(number: int, topic: str = "rt/chatter", kind: str = STRING, **quality: bytes) -> bytes:
+    """A subscriber of the robot, reliable unless said otherwise."""
+    said = parameter(0x5A, PEER + bytes((0, 1, number, 4))) + parameter(0x05, string(topic))
+    said += parameter(0x07, string(kind)) + parameter(
+        0x1A, quality.get("reliability", struct.pack("<IiI", 2, 0, 0))
+    )
+    return data(SUBSCRIPTIONS, number, b"\0\3\0\0" + said + END)
+
+
+def graph(topic: str = "/chatter", *, robot: str = ROBOT, place: Place = HERE) -> Graph:
     return Graph(prefix=ME, domain=0, place=place, addresses=(robot,), topic=topic)
 
 
 def hear(
     listener: Graph, *datagrams: bytes, source: str = ROBOT, now: float = 0, multicast: bool = False
-) -> list[tuple[bytes, rtps.Place]]:
+) -> list[tuple[bytes, Place]]:
     """The answers to some datagrams."""
     return [
         answer
@@ -272,7 +290,7 @@ def test_received_numbers(events: list[int | tuple[int]]) -> None:
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of participants, strangers, publishers, numbers and fragments only so many are kept."""
-    for name in ("MOST_PEERS", "MOST_STRANGERS", "MOST_WRITERS", "MOST_AHEAD", "MOST_FRAGMENTS"):
+    for name in ("MOST_PEERS", "MOST_STRANGERS", "MOST_ENDPOINTS", "MOST_AHEAD", "MOST_FRAGMENTS"):
         monkeypatch.setattr(rtps_graph, name, 5)
     listener = found()
     for number in range(2, 30):
@@ -280,9 +298,11 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         hear(listener, announcement(prefix, THERE))
         hear(listener, announcement(prefix[::-1], ("9.9.9.9", 1)), source="9.9.9.9")
         hear(listener, datagram(PEER, publication(PEER, number, "rt/x", writer=struct.pack(">I", number))))
+        hear(listener, datagram(PEER, subscription(number)))
         first = fragments(WRITER, number, bytes(100), 10)
         hear(listener, *(datagram(PEER, piece) for piece in first[:8]))
-    assert (len(listener.peers), len(listener.strangers), len(listener.writers)) == (5, 5, 5)
+    assert (len(listener.peers), len(listener.strangers)) == (5, 5)
+    assert (len(listener.writers), len(listener.readers)) == (5, 5)
     kept = listener._fragments  # noqa: SLF001  what is kept inside is what this test is about
     assert len(kept) <= rtps_graph.UNFINISHED
     assert all(len(pieces.found) <= 5 for pieces in kept.values())
@@ -297,6 +317,7 @@ PARTS = st.sampled_from(
         publication(PEER, 1, "rt/chatter"), publication(PEER, 2, "rt/chatter", durable=True), heartbeat(WRITER, 1, 9),
         heartbeat(PUBLICATIONS, 1, 1 << 31), data(WRITER, 1, b"x"), gone(PUBLICATIONS, 3, PEER + WRITER),
         gone(rtps.ANNOUNCER, 3, PEER + WRITER), *fragments(WRITER, 4, bytes(30), 8), announcement(PEER, THERE)[20:],
+        subscription(1), subscription(2, kind="x"), heartbeat(SUBSCRIPTIONS, 1, 1 << 31), gone(SUBSCRIPTIONS, 3, PEER),
     ]
 )  # fmt: skip
 
@@ -314,5 +335,84 @@ def test_anything(parts: list[bytes], drawn: st.DataObject) -> None:
             )
         answers = hear(listener, bytes(raw))
         assert len(answers) <= 40
+    listener.unmatched()
+    topics.of_graph(listener, rates={})
+    list(listener.follow([writer.topic for writer in listener.writers.values()]))
     list(listener.repeat(now=1))
     list(listener.leave())
+
+
+def test_a_publisher_that_dies_in_the_middle() -> None:
+    """Half a message is none, and is not kept when its publisher is gone; the next one's messages arrive."""
+    listener = found()
+    half = fragments(WRITER, 1, string_message("x" * 5000), 1000)[:3]
+    hear(listener, datagram(PEER, *half))
+    assert not listener.messages
+    assert listener.incomplete
+    hear(listener, datagram(PEER, gone(rtps.ANNOUNCER, 2, PEER + b"\0\0\1\xc1")))
+    assert not listener.writers
+    assert not listener._fragments  # noqa: SLF001  memory is what this is about
+    hear(listener, announcement(OTHER, THERE), datagram(OTHER, publication(OTHER, 1, "rt/chatter")))
+    hear(listener, datagram(OTHER, data(WRITER, 1, string_message("noon"))))
+    assert payloads(listener) == [string_message("noon")]
+
+
+def test_subscribers_that_do_not_match() -> None:
+    """One that wants more than the publisher offers, and one of another type; each reason once, until they have ended."""
+    listener = graph()
+    weak = publication(PEER, 1, "rt/chatter", reliable=False)
+    hear(listener, announcement(PEER, THERE), datagram(PEER, weak, subscription(1), subscription(2)))
+    reason = "it wants reliable messages, and the publisher is best effort"
+    assert listener.unmatched() == (reason,)
+    hear(listener, datagram(PEER, subscription(3, kind="std_msgs::msg::dds_::Int32_")))
+    other = "its type is std_msgs/msg/Int32, and the publisher has std_msgs/msg/String"
+    assert listener.unmatched() == (reason, other)
+    assert listener.unmatched("rt/other") == ()
+    for number in (1, 2, 3):
+        hear(listener, datagram(PEER, gone(SUBSCRIPTIONS, number + 3, PEER + bytes((0, 1, number, 4)))))
+    assert listener.unmatched() == ()
+
+
+def test_a_subscriber_needs_one_publisher_that_matches() -> None:
+    """Whatever the others offer; without a publisher there is nothing to say."""
+    listener = graph()
+    hear(listener, announcement(PEER, THERE), datagram(PEER, subscription(1)))
+    assert listener.unmatched() == ()
+    strong = publication(PEER, 2, "rt/chatter", writer=b"\0\0\2\3")
+    hear(listener, datagram(PEER, publication(PEER, 1, "rt/chatter", reliable=False), strong))
+    assert listener.unmatched() == ()
+
+
+def test_following_many_topics() -> None:
+    """Each has a reader of its own; the peer knows all of them only when it has acknowledged the last."""
+    listener = Graph(prefix=ME, domain=0, place=HERE, addresses=(ROBOT,), counting=True)
+    names = [f"rt/t{number}" for number in range(30)]
+    found = [
+        publication(PEER, number, name, writer=bytes((0, 0, number, 3)))
+        for number, name in enumerate(names, start=1)
+    ]
+    hear(listener, announcement(PEER, THERE), datagram(PEER, *found))
+    hear(listener, datagram(PEER, data(bytes((0, 0, 1, 3)), 1, string_message("early"))))
+    assert not listener.messages
+    sent = list(listener.follow(names))
+    readers = {
+        part.payload[part.payload.index(ME) + 12 :][:4]
+        for raw, _ in sent
+        for part in parts(raw)
+        if isinstance(part, rtps.Data) and part.writer == SUBSCRIPTIONS
+    }
+    assert len(readers) == 30
+    assert all(len(raw) < 10_000 for raw, _ in sent)
+    for base, knows in ((30, False), (31, True)):
+        numbers = struct.pack("<iII", 0, base, 0) + struct.pack("<I", 1)
+        hear(listener, datagram(PEER, submessage(0x06, b"\0\0\4\xc7" + SUBSCRIPTIONS + numbers)))
+        assert listener.peers[PEER].knows_us is knows
+    hear(listener, datagram(PEER, data(bytes((0, 0, 2, 3)), 1, string_message("x"))))
+    hear(listener, datagram(PEER, *fragments(bytes((0, 0, 3, 3)), 1, string_message("y" * 5000), 1000)))
+    assert [message.topic for message in listener.messages] == ["rt/t1", "rt/t2"]
+
+
+def parts(raw: bytes) -> tuple[rtps.Part, ...]:
+    packet = rtps.read(raw)
+    assert packet
+    return packet.parts

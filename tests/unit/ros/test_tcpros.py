@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import ast
+import base64
+import json
 import socket
 import subprocess
 import sys
@@ -194,3 +196,24 @@ def test_health_check_needs_no_other_file(peers: Peers, tmp_path: Path) -> None:
 def test_python_38_can_read_it() -> None:
     """A ROS Noetic image has Python 3.8."""
     ast.parse(Path(tcpros.__file__).read_text(), feature_version=(3, 8))
+
+
+def test_all_messages_as_lines(peers: Peers) -> None:
+    """As for ROS 2, with the definition of the type; the end of the publisher is the end, and so is that of the input."""
+    peers.messages = (string_message("noon"), string_message("later"))
+    program = Path(tcpros.__file__).read_text()
+    argv = (sys.executable, "-c", program, "/time", "--master", peers.master, "--all", "--timeout", "0.5")
+    with subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout
+        *lines, reason = running.stdout.read().splitlines()
+        assert running.wait(timeout=20) == 1
+    found = [json.loads(line) for line in lines]
+    assert [base64.b64decode(one["data"]) for one in found] == [m[4:] for m in peers.messages]
+    assert {(one["type"], one["definition"]) for one in found} == {("std_msgs/String", peers.definition)}
+    assert "is connected and says nothing" in reason
+    with subprocess.Popen((*argv[:-1], "30"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+        assert running.stdin
+        assert running.stdout
+        running.stdout.readline()
+        running.stdin.close()
+        assert running.wait(timeout=20) == 0

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from fleet.config.inventory import Robot, Ros, StackFiles
+from fleet.config.inventory import Robot, StackFiles
+from fleet.config.ros import Ros
 from fleet.ros.unused_settings import warnings
 from tests.support.samples import stack
 
