@@ -36,7 +36,7 @@ TOOLS = ("roslaunch", "rosmaster", "rosnode", "rosparam", "rostopic")
 """Dependencies of each image: what starts nodes, and what people look around with."""
 
 SHOWN = 8
-"""Lines of a compiler's first error that are shown at the end: `fab build` shows the last 12 of a step."""
+"""Lines of a compiler's first error that are shown at the end."""
 
 
 def fail(what: str, *, cure: str = "") -> NoReturn:
@@ -277,6 +277,8 @@ class Builder:
         sys.stdout.flush()
         if done.returncode:
             what = "does not compile" if "--build" in command else "cannot be configured by CMake"
+            # Empty lines, because `fab build` shows the last 12 of a step: the error, and nothing of what make says.
+            sys.stdout.write("\n" * 12)
             fail("\n".join((f"{name} {what}:", *first_error(output))))
 
 
