@@ -372,11 +372,15 @@ def build(sources: Path, out: Path) -> None:
 
 def link_paths(triplet: str) -> None:
     """Make absolute paths lead into the sysroot: catkin's configurations have them, and tell CMake not to map them."""
-    for path in (PREFIX, Path("/opt/ros"), Path("/usr/lib") / triplet):
-        target = SYSROOT / path.relative_to("/")
-        if path == PREFIX:
-            target.mkdir(parents=True, exist_ok=True)
-        if target.exists() and not path.exists():
+    (SYSROOT / PREFIX.relative_to("/")).mkdir(parents=True, exist_ok=True)
+    targets = [
+        SYSROOT / path.relative_to("/")
+        for path in (PREFIX, Path("/opt/ros"), Path("/etc/ros"), Path("/usr/lib") / triplet)
+    ]
+    targets += [*SYSROOT.glob("usr/share/*"), *SYSROOT.glob("usr/lib/*")]
+    for target in targets:
+        path = Path("/") / target.relative_to(SYSROOT)
+        if target.exists() and not path.exists() and not path.is_symlink():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.symlink_to(target)
 

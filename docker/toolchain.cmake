@@ -5,6 +5,8 @@ set(CMAKE_C_COMPILER "$ENV{TRIPLET}-gcc")
 set(CMAKE_CXX_COMPILER "$ENV{TRIPLET}-g++")
 set(CMAKE_LIBRARY_ARCHITECTURE "$ENV{TRIPLET}")
 set(CMAKE_SYSROOT /sysroot)
+# What packages generate is looked for in their own folders as well: messages, for example.
+set(CMAKE_FIND_ROOT_PATH /cache)
 # Programs that run in the build are this computer's own; everything else is the target's.
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)
 set(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)
