@@ -90,6 +90,7 @@ FROM run-base
 COPY --from=ros-files /target/ /
 COPY --from=account /target/ /
 USER 1000:1000
+# Without line buffering, Docker gets what a node in C++ prints minutes later, in blocks of 4 kB.
 ENV LANG=C.UTF-8 \
     HOME=/home/ros \
     OVERLAY=/opt/packages \
@@ -101,7 +102,9 @@ ENV LANG=C.UTF-8 \
     ROS_HOME=/home/ros/.ros \
     ROS_LOG_DIR=/home/ros/.ros/log \
     ROS_PYTHON_LOG_CONFIG_FILE=/opt/packages/etc/ros/python_logging.yaml \
-    ROSOUT_DISABLE_FILE_LOGGING=1
+    ROSOUT_DISABLE_FILE_LOGGING=1 \
+    ROSCONSOLE_STDOUT_LINE_BUFFERED=1 \
+    ROSCONSOLE_FORMAT="[\${severity}] \${message}"
 ENTRYPOINT ["/usr/local/bin/entrypoint"]
 # Last, because it changes with every edit and is the smallest.
 COPY --from=packages /target/ /
