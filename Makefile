@@ -82,7 +82,7 @@ lint: env ## style, spelling, types, layers, shell scripts, Dockerfile, the work
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(VENV)/bin/shellcheck $(SCRIPTS)
 	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
-	@$(VENV)/bin/hadolint docker/Dockerfile
+	@$(VENV)/bin/hadolint docker/Dockerfile docker/packages.Dockerfile
 	@$(VENV)/bin/codespell
 	@$(VENV)/bin/zizmor --offline --quiet .github
 	@$(VENV)/bin/mypy

@@ -18,13 +18,13 @@ ARG COMPILE=cross
 FROM --platform=$BUILDPLATFORM ${ROS_BASE:-$BUILD_BASE} AS build-cross
 
 
-# hadolint ignore=DL3006
 FROM ${ROS_BASE:-$RUN_BASE} AS run-base
 
 
 FROM run-base AS build-emulated
 
 
+# hadolint ignore=DL3006
 FROM build-${COMPILE} AS tools
 ARG COMPILE
 ARG TARGETARCH
