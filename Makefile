@@ -16,7 +16,7 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) flee
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-change picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-change bench-build picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -82,7 +82,7 @@ lint: env ## style, spelling, types, layers, shell scripts, Dockerfile, the work
 	@$(VENV)/bin/lint-imports --no-cache --no-logo
 	@$(VENV)/bin/shellcheck $(SCRIPTS)
 	@$(VENV)/bin/shfmt --diff $(SCRIPTS)
-	@$(VENV)/bin/hadolint docker/Dockerfile
+	@$(VENV)/bin/hadolint docker/Dockerfile docker/packages.Dockerfile
 	@$(VENV)/bin/codespell
 	@$(VENV)/bin/zizmor --offline --quiet .github
 	@$(VENV)/bin/mypy
@@ -105,6 +105,9 @@ bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the u
 
 bench-change: testbed env ## measure one changed line until 1 and 20 robots run it, beside the usual ways (under 40 minutes)
 	@$(VENV)/bin/python -m bench change $(BENCH)
+
+bench-build: desktop env ## measure cross-compiling beside emulation, docs/benchmarks-build.md (under an hour)
+	@$(VENV)/bin/python -m bench build
 
 picture: env ## draw the README's picture of what a fleet that runs prints
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture

@@ -3,6 +3,11 @@
 ``make bench-transfer`` is ``python -m bench transfer``: images over an emulated Wi-Fi, written to
 ``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes. ``make bench-change`` is
 ``python -m bench change``: one changed line of a node until robots run it, written to ``docs/benchmarks-change.md``.
+
+``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes.
+
+``make bench-build`` is ``python -m bench build``: a C++ package for a robot, cross-compiled and emulated, written to
+``docs/benchmarks-build.md``. Under an hour on a computer that does nothing else, nearly all of it emulation.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import paramiko
 
-from bench import asking, change, change_page, figures, report, resolving, streaming, transfer
+from bench import asking, change, change_page, compiling, figures, report, resolving, streaming, transfer
 from bench.pairs import ROOT, cpu_per_gigabyte, seconds, spend
 from bench.report import Row, ratio
 from fleet.cli.console import Screen
@@ -39,6 +44,9 @@ TRANSFER_TIME = 2400
 CHANGE_TIME = 2400
 """The same for ``make bench-change``."""
 
+BUILD_TIME = 7200
+"""The same for ``make bench-build``."""
+
 ROBOTS = 3
 FLEETS = (1, 20, 200)
 SERVERS = 50
@@ -51,6 +59,8 @@ def main() -> int:
         return _transfer(transfer.asked(sys.argv[2:]))
     if sys.argv[1:2] == ["change"]:
         return _change(change.asked(sys.argv[2:]))
+    if sys.argv[1:2] == ["build"]:
+        return _build()
     screen = Screen()
     when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
     try:
@@ -101,6 +111,21 @@ def _change(asked: change.Asked) -> int:
     page = change_page.page(measured, when=when, machine=_machine(measured.engine, load))
     (ROOT / "docs" / "benchmarks-change.md").write_text(page, encoding="utf-8")
     return 0 if all(row.met for row in rows) and not measured.unfinished else 1
+
+
+def _build() -> int:
+    screen = Screen()
+    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
+    try:
+        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(BUILD_TIME):
+            rows = compiling.measure(folder=Path(folder), say=screen.say)
+    except (FleetError, RuntimeError, TimeoutError) as problem:
+        screen.say(f"bench: {problem}")
+        return 1
+    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
+    page = compiling.page(rows, when=when, machine=_machine("", load))
+    (ROOT / "docs" / "benchmarks-build.md").write_text(page, encoding="utf-8")
+    return 0 if all(row.met for row in rows) else 1
 
 
 def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tuple[Row, ...]:
@@ -164,7 +189,7 @@ def _machine(engine: str, load: float) -> str:
     ssh = spend(("sh", "-c", "ssh -V 2>&1"), environment=os.environ)[1].partition(",")[0]
     return (
         f"The computer: {os.cpu_count()} cores{name}, {platform.machine()}, {memory:.0f} GB, load {load:.1f} at the start; "
-        f"Docker {ours}, on the robots {engine}; {ssh}; Python {platform.python_version()}, Paramiko {paramiko.__version__}."
+        f"Docker {ours}{f', on the robots {engine}' if engine else ''}; {ssh}; Python {platform.python_version()}, Paramiko {paramiko.__version__}."
     )
 
 

@@ -1,19 +1,40 @@
 #!/bin/sh
-# Usage: cross-install.sh ARCHITECTURE BASE TARGET PACKAGE...
+# Usage: cross-install.sh [--development] [--keys FILE] ARCHITECTURE BASE TARGET PACKAGE...
 #
 # Unpacks Debian packages of any architecture, and what they depend on, into the directory TARGET, without running
 # anything of that architecture. BASE holds etc/os-release and var/lib/dpkg/status of the image that TARGET will be
-# laid over: what that image has already is not fetched again. Maintainer scripts do not run; what matters of them
-# for Python packages, the byte-compiling, is done here.
+# laid over: what that image has already is not fetched again. Its etc/apt says where packages come from, if it is
+# there. Maintainer scripts do not run; what matters of them for Python packages, the byte-compiling, is done here.
+#
+# --development: TARGET is a sysroot, which holds BASE already. Headers stay, and TARGET/unpacked/PACKAGE lists the files.
+# --keys FILE: more packages, as dependencies of package.xml; catkin_packages.py knows what Debian calls them.
 set -eu
+development='' keys=''
+while :; do
+    case $1 in
+        --development) development=yes ;;
+        --keys)
+            keys=$2
+            shift
+            ;;
+        *) break ;;
+    esac
+    shift
+done
 architecture=$1 base=$2 target=$3
 shift 3
 
-release() { sed -n 's/^VERSION_CODENAME=//p' "$1"; }
-if [ "$(release /etc/os-release)" != "$(release "$base/etc/os-release")" ]; then
-    echo "cross-install: BUILD_BASE and RUN_BASE must be the same Debian release" >&2
+fail() {
+    echo "cross-install: $*" >&2
     exit 1
-fi
+}
+
+release() { sed -n 's/^VERSION_CODENAME=//p' "$1"; }
+[ "$(release /etc/os-release)" = "$(release "$base/etc/os-release")" ] ||
+    fail "BUILD_BASE and RUN_BASE must be the same Debian release"
+has=$(sed -n '/^Package: dpkg$/,/^$/s/^Architecture: //p' "$base/var/lib/dpkg/status")
+[ "$has" = "$architecture" ] ||
+    fail "the base is for $has, and the image is for $architecture. Cure: name a base of that architecture"
 
 work=$(mktemp -d)
 touch "$work.began"
@@ -32,31 +53,49 @@ Dir::Cache::srcpkgcache "";
 DPkg::Post-Invoke {};
 APT::Keep-Downloaded-Packages "true";
 CONF
+sources=/etc/apt
+if [ -d "$base/etc/apt" ]; then
+    sources=$base/etc/apt
+    echo "Dir::Etc \"$sources\";" >>"$work/apt.conf"
+fi
 export APT_CONFIG="$work/apt.conf"
 # A mirror that is being renewed may contradict itself for a while, in practice in the security suite only.
 if ! apt-get -q update 2>"$work/problems"; then
     cat "$work/problems" >&2
     grep -q 'unexpected size' "$work/problems" || exit 1
     echo 'cross-install: going on without the security suite' >&2
-    cat /etc/apt/sources.list /etc/apt/sources.list.d/*.list 2>/dev/null | grep -v security >"$work/sources.list"
+    cat "$sources/sources.list" "$sources"/sources.list.d/*.list 2>/dev/null | grep -v security >"$work/sources.list"
     printf 'Dir::Etc::SourceList "%s";\nDir::Etc::SourceParts "-";\n' "$work/sources.list" >>"$APT_CONFIG"
     apt-get -q update
 fi
-apt-get -q --yes --download-only install "$@"
+named=
+if [ -n "$keys" ]; then named=$(python3 /catkin_packages.py names "$keys"); fi
+# One word per package.
+# shellcheck disable=SC2086
+apt-get -q --yes --download-only install "$@" $named
 
 # On merged /usr a package's ./lib/... belongs to /usr/lib.
-mkdir -p "$target/usr/bin" "$target/usr/sbin" "$target/usr/lib" "$target/var/lib/dpkg/status.d"
+mkdir -p "$target/usr/bin" "$target/usr/sbin" "$target/usr/lib" "$target/var/lib/dpkg/status.d" "$target/unpacked"
 for directory in bin sbin lib; do
-    ln -s "usr/$directory" "$target/$directory"
+    [ -e "$target/$directory" ] || ln -s "usr/$directory" "$target/$directory"
 done
+headers='./usr/include/*'
+if [ -n "$development" ]; then headers=./; fi # a pattern that no member has: all of them are kept
 for package in "$work"/archives/*.deb; do
-    dpkg-deb --fsys-tarfile "$package" | tar --extract --keep-directory-symlink --directory "$target" \
+    [ -e "$package" ] || continue
+    name=$(dpkg-deb --field "$package" Package)
+    dpkg-deb --fsys-tarfile "$package" | tar --extract --verbose --keep-directory-symlink --directory "$target" \
         --exclude './usr/share/man/*' --exclude './usr/share/info/*' --exclude './usr/share/lintian/*' \
-        --exclude './usr/share/locale/*' --exclude './usr/include/*'
+        --exclude './usr/share/locale/*' --exclude "$headers" >"$target/unpacked/$name"
     # Where scanners look for packages that dpkg did not configure itself.
-    dpkg-deb --field "$package" >"$target/var/lib/dpkg/status.d/$(dpkg-deb --field "$package" Package)"
+    dpkg-deb --field "$package" >"$target/var/lib/dpkg/status.d/$name"
 done
-rm -rf "$work" "${target:?}/bin" "${target:?}/sbin" "${target:?}/lib"
+rm -rf "$work"
+if [ -n "$development" ]; then
+    rm -f "$work.began"
+    exit
+fi
+rm -rf "$target/unpacked" "${target:?}/bin" "${target:?}/sbin" "${target:?}/lib"
 find "$target/usr/share/doc" -not -type d -not -name copyright -delete
 find "$target" -mindepth 1 -type d -empty -delete
 python3 -m compileall -q -j 0 -s "$target" -p / "$target"/usr/lib/python3*

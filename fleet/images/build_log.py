@@ -18,6 +18,8 @@ TAIL = 12
 
 _LINE = re.compile(r"#(\d+) (.*)")
 _OUTPUT = re.compile(r"\d+\.\d+ ?(.*)")
+# What BuildKit 0.8 and 0.13 say of a program that failed: the whole command again, which the step's title has.
+_FAILED_PROGRAM = re.compile(r"(executor failed running \[|process \").*exit code: \d+")
 _OURS = re.compile(r"\[(?!internal\]|auth\])[^\]]+\] ")
 
 # Words of BuildKit and of programs in a build, and what cures them.
@@ -29,6 +31,10 @@ _CURES = (
     ("no space left on device", "free some disk: docker system df shows what Docker uses"),
     ("no such host", "see whether this computer reaches the registry or the server of that name"),
     ("pull access denied", "correct the image's name, or log in: docker login"),
+    (
+        "failed to compute cache key",
+        "correct the name of the file or folder in the Dockerfile, or let .dockerignore admit it",
+    ),
     ("failed to resolve source metadata", "correct the image's name, or see whether its registry answers"),
 )
 
@@ -77,7 +83,7 @@ class BuildLog:
             step.cached = step.done = True
         elif said.startswith("DONE"):
             step.done = True
-        elif output := _OUTPUT.fullmatch(said):
+        elif (output := _OUTPUT.fullmatch(said)) and not step.failed:  # BuildKit repeats them after the end
             step.tail.append(output[1])
             return step
         return None
@@ -94,5 +100,7 @@ class BuildLog:
         failed = next((step for step in self.steps.values() if step.failed), None)
         title = failed.title if failed else ""
         lines = [line for line in (failed.tail if failed else self.tail) if line.strip()]
+        own = [line for line in lines if not _FAILED_PROGRAM.fullmatch(line)]
+        lines = own or lines
         words = "\n".join((*lines, *self.tail)).lower()
         return title, tuple(lines), next((cure for sign, cure in _CURES if sign in words), "")

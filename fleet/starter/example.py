@@ -13,7 +13,9 @@ PARTS = (
     *("docker/Dockerfile", "docker/compose.yaml", "docker/cross-install.sh"),
     *("fabfile.py", "fabric.yaml"),  # its inventory says `fab`, and so a person may
     *("docker/entrypoint.sh", "docker/python_logging.yaml", "docker/roslaunch.py", "docker/ros2"),
-    "talker",
+    *("docker/packages.yaml", "docker/packages.Dockerfile", "docker/packages.Dockerfile.dockerignore"),
+    *("docker/build-tools.sh", "docker/catkin_packages.py", "docker/rosdep.yaml", "docker/toolchain.cmake"),
+    *("talker", "packages"),
 )
 """Files and folders of the repository that are only the example's; ``pyproject.toml`` packs the same ones into the wheel."""
 
