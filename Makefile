@@ -16,7 +16,7 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) flee
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-change picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-dev bench-change picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -105,6 +105,9 @@ bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the u
 
 bench-change: testbed env ## measure one changed line until 1 and 20 robots run it, beside the usual ways (under 40 minutes)
 	@$(VENV)/bin/python -m bench change $(BENCH)
+
+bench-dev: testbed env ## save a file 20 times, and measure when three virtual Pis publish the new text (3 minutes)
+	@FLEET_DEV_TIMES=20 $(VENV)/bin/pytest tests/lab/test_dev.py --quiet -k saved_edit
 
 picture: env ## draw the README's picture of what a fleet that runs prints
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture
