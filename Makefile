@@ -16,7 +16,8 @@ SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) flee
 STEP = @printf '\n== %s\n'
 
 .DEFAULT_GOAL := help
-.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference bench bench-local bench-transfer bench-change bench-build picture lock clean desktop testbed env
+.PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference
+.PHONY: bench bench-local bench-transfer bench-change bench-build bench-dev picture lock clean desktop testbed env
 
 help: ## list what there is
 	@echo 'make WHAT, where WHAT is one of:'
@@ -108,6 +109,9 @@ bench-change: testbed env ## measure one changed line until 1 and 20 robots run 
 
 bench-build: desktop env ## measure cross-compiling beside emulation, docs/benchmarks-build.md (under an hour)
 	@$(VENV)/bin/python -m bench build
+
+bench-dev: testbed env ## save a file 20 times, and measure when three virtual Pis publish the new text (3 minutes)
+	@FLEET_DEV_TIMES=20 $(VENV)/bin/pytest tests/lab/test_dev.py --quiet -k saved_edit
 
 picture: env ## draw the README's picture of what a fleet that runs prints
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m bench.picture

@@ -53,20 +53,20 @@ def build(
     ~/.cache/fleet/builds. If a step fails, its last lines are shown.
     """
     robots, screen = _for_platform(select(inventory, hosts)[1], platform), Screen()
-    with beside(buildkit_client) as client, beside(Store) as opened, Stacks(variables=_variables) as stacks:
+    with beside(buildkit_client) as client, beside(Store) as opened, Stacks(variables=variables_of) as stacks:
         found = stacks.of(robots, only=stack)
         screen.warnings(warnings_of(found))
         doubts.tell(robots, found, screen=screen)
         wanted = [(robot, one) for robot in robots for one in found[robot.name]]
         flags = ["--no-cache"] * no_cache + ["--pull"] * pull
-        commands = _commands(wanted, flags, client=client())
+        commands = commands_for(wanted, flags, client=client())
         if pull:
             screen.warnings({one.reference: [_NOT_PULLED] for one in commands if one.bases})
         if dry:
             screen.json(commands) if json else screen.lines(builds.lines(commands))
             return
         with screen.progress() as progress:
-            builder.run_all(commands, watcher=_Watcher(progress), memory=builder.free_memory())
+            builder.run_all(commands, watcher=Watcher(progress), memory=builder.free_memory())
         with opened() as store:
             images = [image for robot, one in wanted for image in _built(one, robot, store)]
             screen.warnings(doubts.of_images(robots, found, store))
@@ -92,11 +92,12 @@ def _for_platform(robots: Sequence[Robot], platform: str) -> Sequence[Robot]:
     return [robot.model_copy(update={"platform": platform}) for robot in robots]
 
 
-def _variables(project: Project, robot: Robot) -> dict[str, str]:
+def variables_of(project: Project, robot: Robot) -> dict[str, str]:
+    """The variables that name the base images which fleet makes, for a stack's Compose file."""
     return {name: base.tag for name, base in builds.bases(project, robot.platform).items()}
 
 
-def _commands(
+def commands_for(
     wanted: Iterable[tuple[Robot, RobotStack]], flags: Sequence[str], *, client: Sequence[str]
 ) -> list[builds.Command]:
     """What has to be run for all robots, each once."""
@@ -112,7 +113,7 @@ def _commands(
     return commands
 
 
-class _Watcher:
+class Watcher:
     """Shows how builds go: a moving line for each image, or a line when it ends."""
 
     def __init__(self, progress: AnyProgress) -> None:

@@ -114,7 +114,7 @@ def ship(
     fleet, robots = select(inventory, hosts)
     screen = Screen()
     whose.once(robots, among=fleet.robots.values())
-    options = _Options(
+    options = Options(
         run=secrets.token_hex(8), wait=wait, conflict=_conflict(prefer), keep=keep, renamed=renamed
     )
     limiter = RateLimiter(bytes_per_second(limit))
@@ -122,7 +122,7 @@ def ship(
         wanted.opened(robots, out_of=from_, only=stack, screen=screen) as (source, releases),
         Sender.using(source, limiter=limiter, by=whoami()) as sender,
     ):
-        planner = _Planner(releases, sender, options)
+        planner = Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]
         go = partial(execute, robots, *ladder, open_feed=sender.open, images=True, retry_for=retry_for)
         return go(dry=dry, json=json, screen=screen)
@@ -240,7 +240,7 @@ def remove(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Options:
+class Options:
     """What a person asked of one `fab ship`, for all robots; ``run`` is a word of this run's own."""
 
     run: str
@@ -260,10 +260,10 @@ class _Options:
         )
 
 
-class _Planner:
+class Planner:
     """Plans the releases of one `fab ship` for each robot; called from many threads."""
 
-    def __init__(self, releases: Mapping[str, Sequence[Wanted]], sender: Sender, options: _Options) -> None:
+    def __init__(self, releases: Mapping[str, Sequence[Wanted]], sender: Sender, options: Options) -> None:
         self._releases = releases
         self._sender = sender
         self._options = options

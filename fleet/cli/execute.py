@@ -75,6 +75,24 @@ def execute(
     return show_plans(in_order, outcomes, json=json, screen=screen)
 
 
+def bring(
+    link: Link,
+    *ladder: Planner,
+    open_feed: Opener,
+    progress: Progress,
+    retry_for: float = RETRY_FOR,
+) -> Outcome:
+    """Observe one robot with its images, plan for it, and apply the plan; for ``ladder`` see `execute`."""
+    carry_out = partial(apply, open_feed=open_feed, progress=progress, retry_for=retry_for)
+
+    def attempt(link: Link, make: Planner) -> Outcome:
+        progress.step_started(link.robot.name, OBSERVE, None)
+        facts = observe_one(link, images=True, progress=progress, retry_for=retry_for)
+        return _apply_all(make(link.robot, facts), carry_out, link)
+
+    return _climb(link, ladder=ladder, attempt=attempt, progress=progress)
+
+
 def _apply_all(plans: Sequence[Plan], carry_out: Callable[[Plan, Link], Outcome], link: Link) -> Outcome:
     """Apply the plans of a robot's stacks, one after the other."""
     outcomes: list[tuple[str, Outcome]] = []

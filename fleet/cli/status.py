@@ -38,7 +38,7 @@ def rows(name: str, seen: Facts | FleetError) -> list[Sequence[Cell]]:
     stacks = [
         (
             (f"{stack} (systemd)" if there.boot == "systemd" else stack, ""),
-            (there.current or "none", "" if there.current else "dim"),
+            _release(there),
             _containers(there, seen.host.clock),
             _data(there),
         )
@@ -144,6 +144,14 @@ def event_row(name: str, stack: str, event: Event) -> Sequence[Cell]:
 def problems(seen: Mapping[str, Facts | FleetError]) -> tuple[Outcome, ...]:
     """The outcomes of the robots that could not be looked at."""
     return tuple(failure(name, what) for name, what in seen.items() if isinstance(what, FleetError))
+
+
+def _release(there: StackFacts) -> Cell:
+    """The current release, and who has changed its containers with `fab dev`, since when (UTC)."""
+    if there.dev:
+        since = there.dev.since.replace("T", " ").removesuffix("Z")
+        return (f"{there.current}, dev by {there.dev.by} since {since} UTC", "yellow")
+    return (there.current or "none", "" if there.current else "dim")
 
 
 def _containers(there: StackFacts, now: float) -> Cell:

@@ -6,6 +6,8 @@
 # TOKEN names this run. The same command with the same token does not start the script again: it goes on showing, and
 # ends with the script's exit code. That is how a desktop comes back after it has lost its connection. A script that a
 # power cut has ended is started again by it, or by fleet-finish.service before: hence the folder has all that this needs.
+#
+# With FLEET_LATER set, the run is only prepared: fleet-finish.service starts it at the next boot (dev_hold.sh).
 set -u
 token=$1 script=$2
 shift 2
@@ -42,6 +44,7 @@ if problem=$(mkdir "$run" 2>&1); then
         exit 1
     fi
     sync "$run"/* "$run" 2>/dev/null || sync
+    [ -z "${FLEET_LATER-}" ] || exit 0
     launch
 elif [ ! -d "$run" ]; then
     echo "$problem" >&2

@@ -185,6 +185,7 @@ for here in "$HOME"/.fleet/stacks/*/; do
     printf 'data '
     timeout 2 du -sk "$here/data" 2>/dev/null | cut -f1 | grep . || if [ -d "$here/data" ]; then echo unknown; else echo 0; fi
     [ ! -s "$here/journal" ] || printf 'journal %s\n' "$(head -n 1 "$here/journal" | cut -c1-200)"
+    [ ! -s "$here/dev/state" ] || printf 'dev %s\n' "$(head -n 1 "$here/dev/state" | cut -c1-200)"
     sed 's/^/proved /' "$here/proved" 2>/dev/null
     tail -n 200 "$here/history" 2>/dev/null | tr -d '\000' | cut -c1-1000 | sed 's/^/event /'
 done

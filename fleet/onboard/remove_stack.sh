@@ -18,6 +18,6 @@ networks=$(docker network ls --quiet --filter "label=com.docker.compose.project=
 # shellcheck disable=SC2086  # one word per network
 [ -z "$networks" ] || docker network rm $networks >/dev/null
 rm -f current journal proved policies stopped
-rm -rf releases
+rm -rf releases dev
 printf '%s\tremove\t-\t%s\tdone\n' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$by" >>history
 sync

@@ -3,7 +3,7 @@
 #
 # usage: swap.sh VERB STACK RELEASE SEEN BY WAIT SETTLE CONFLICT
 #
-# VERB is ship, rollback, start, restart or stop. SEEN is the release that was current when this was planned, -
+# VERB is ship, rollback, start, restart, stop, dev (`fab dev --end`) or boot (the end of dev at boot). SEEN is the release that was current when this was planned, -
 # for none and ? for unknown. BY is who asked for it (tim@desktop). WAIT is how many seconds the
 # containers may take to become healthy, SETTLE how many a container without a health check must run without a restart.
 # CONFLICT is robot or desktop: whose version of a file wins that both have changed.
@@ -49,6 +49,11 @@ say "$by, who runs fab $verb since $(date +%H:%M:%S)" >"$fleet/holder"
 
 # --- What is there
 
+# A desktop that came back after the boot goes on with dev, and has prepared another end.
+if [ "$verb" = boot ]; then
+    [ "$(cat "$here/dev/back" 2>/dev/null)" = "${FLEET_RUN-}" ] || exit 0
+    [ ! -e "$here/stopped" ] || exit 0 # it stays stopped, and in dev
+fi
 folder() { printf '%s/releases/%s' "$here" "$1"; }
 before=$(readlink "$here/current" 2>/dev/null) || before=
 before=${before##*/}
@@ -317,6 +322,13 @@ restore_policies() {
     rm -f "$here/policies"
 }
 
+# Files that `fab dev` has brought into containers end with these containers.
+leave_dev() {
+    back=$(cat "$here/dev/back" 2>/dev/null)
+    rm -rf "${here:?}/dev"
+    [ -z "$back" ] || [ "$back" = "${FLEET_RUN-}" ] || rm -rf "$fleet/runs/$back"
+}
+
 # Start a release and see it run; `why` says why not.
 run() { # RELEASE
     if [ -e "$(folder "$1")/services" ]; then
@@ -329,11 +341,13 @@ run() { # RELEASE
     # A container that has a single file mounted keeps the one that was replaced: it is made anew.
     anew=
     [ ! -e "$here/delivered.changed" ] || anew=--force-recreate
+    if [ -e "$here/dev/state" ] && [ "$verb" != start ] && [ "$verb" != restart ]; then anew=--force-recreate; fi
     [ "$1" = "$before" ] || stay_at_boot
     # shellcheck disable=SC2086 # no word if it is empty
     output=$(compose "$1" up --detach --no-build --pull never --remove-orphans $anew 2>&1)
     code=$?
     if [ "$code" = 0 ]; then
+        [ -z "$anew" ] || [ ! -e "$here/dev/state" ] || leave_dev
         watch
         return
     fi

@@ -17,7 +17,7 @@ from fleet.robot.paths import folder
 if TYPE_CHECKING:
     from fleet.robot.release import Release
 
-Verb = Literal["ship", "rollback", "start", "restart", "stop"]
+Verb = Literal["ship", "rollback", "start", "restart", "stop", "dev"]
 Conflict = Literal["robot", "desktop"]
 
 UNKNOWN = "?"
@@ -105,6 +105,7 @@ _WORDS: dict[Verb, str] = {
     "start": "start",
     "restart": "restart",
     "stop": "stop",
+    "dev": "bring back",
 }
 
 

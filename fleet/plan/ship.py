@@ -96,7 +96,7 @@ def _runs(release: Release, there: StackFacts, *, facts: Facts, request: Request
     written = (there.current, there.checksum) == (release.id, release.checksum(facts.login.home))
     # Whether a file that both sides have changed is still undecided, only the robot knows.
     decides = bool(release.seeds) and request.conflict == "desktop"
-    return written and there.running and not there.journal and not decides
+    return written and there.running and not there.journal and not there.dev and not decides
 
 
 def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Request) -> Plan:
@@ -116,7 +116,7 @@ def rollback(*, robot: Robot, stack: str, facts: Facts, to: str, request: Reques
     if target not in there.releases:
         cure = f"it has: {', '.join(there.releases) or 'none'}"
         raise Refused(f"release {target} is not on this robot", cure=cure)
-    if target == there.current and there.running and not there.journal:
+    if target == there.current and there.running and not there.journal and not there.dev:
         return Plan(robot=robot.name, summary=f"runs release {target}")
     return Plan(
         robot=robot.name,

@@ -165,6 +165,14 @@ class Packages:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Dev:
+    """Who has brought files into a stack's containers with `fab dev` (``tim@desktop``), and since when (ISO 8601)."""
+
+    by: str
+    since: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StackFacts:
     """What the robot has of one stack.
 
@@ -172,6 +180,7 @@ class StackFacts:
     lines, oldest first. ``data`` is the size in bytes of what its containers have written, None if that was not counted
     in time. ``journal`` is what a command is doing, or was doing when the power went; empty otherwise. ``boot`` is who starts
     the current release at power-on; ``stopped``: a person has stopped it, so systemd does not.
+    ``dev``: its containers have files that are not of the release.
     """
 
     current: str = ""
@@ -184,6 +193,7 @@ class StackFacts:
     journal: str = ""
     boot: Literal["docker", "systemd"] = "docker"
     stopped: bool = False
+    dev: Dev | None = None
 
     @property
     def running(self) -> bool:

@@ -10,6 +10,7 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
       history               one line for each ship, start, stop, rollback: when, what, release, by whom, outcome
       journal               what a command is doing to the containers; there only while it does
       stopped                `fab stop` was the last word: systemd does not start it (`boot: systemd`)
+      dev/                  what `fab dev` has brought into the containers, by whom; there only until a release is back
       proved                the containers whose health check has passed in a swap
     receipts/               the manifests of the images that were sent, for a containerd store
     spool/                  uploads that were interrupted; empty otherwise

@@ -17,6 +17,7 @@ from fleet.errors import NotAsPlanned
 from fleet.robot import claims, hardware, image_store
 from fleet.robot.facts import (
     Container,
+    Dev,
     Disk,
     Docker,
     EngineKind,
@@ -300,7 +301,13 @@ def _stack(lines: list[str], containers: list[Container]) -> StackFacts:
         journal=last.get("journal", ""),
         stopped="stopped" in last,
         boot="systemd" if last.get("boot") == "systemd" else "docker",
+        dev=_dev(last.get("dev", "")),
     )
+
+
+def _dev(line: str) -> Dev | None:
+    since, _, by = line.partition(" ")
+    return Dev(by=by, since=since) if since else None
 
 
 def _proved(stacks: str) -> frozenset[str]:

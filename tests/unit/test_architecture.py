@@ -24,6 +24,7 @@ LIBRARIES = {
     "ssh.connect": {"paramiko"},
     "transfer.codec": {"backports", "compression"},
     "config.project_files": {"pathspec"},
+    "rollout.saved_files": {"watchfiles"},
     "config.yamlfile": {"yaml"},
     "ssh.mdns": {"zeroconf"},
 }
@@ -49,7 +50,7 @@ PURE = {
         f"plan.{name}"
         for name in ("claims", "compose_steps", "containers", "delivery", "describe", "outcome", "prune")
     ),
-    *(f"plan.{name}" for name in ("hardware", "readiness", "ship", "step")),
+    *(f"plan.{name}" for name in ("dev_steps", "hardware", "readiness", "ship", "step", "watch")),
     *("provision.hardware", "provision.jetson"),
     *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
@@ -73,7 +74,7 @@ READS_FILES = {
         "config.project_files",
         "config.yamlfile",
     ),
-    *("config.compose_wording", "config.docker_rules", "robot.release"),
+    *("config.compose_wording", "config.docker_rules", "config.watch", "robot.release"),
 }
 
 EFFECTS = {

@@ -13,6 +13,7 @@ from fleet.config.inventory import StackFiles
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.robot.facts import Dev
 from fleet.rollout.sighting import Candidate, Sighting
 from fleet.ros.measure import Report
 from fleet.ros.message import Message
@@ -51,6 +52,7 @@ STACK = {
     "boot",
     "stopped",
 }
+DEV = {"dev", "dev.by", "dev.since"}
 STATUS = {
     *("reachable", "healthy"),
     *(f"host.{key}" for key in ("identity", "machine", "userland", "os", "clock")),
@@ -68,7 +70,7 @@ STATUS = {
     ),
     *("packages.installed", "packages.interrupted", "packages.docker_source"),
     *("fleet.legacy", "fleet.stacks"),
-    *(f"fleet.stacks.NAME.{key}" for key in STACK),
+    *(f"fleet.stacks.NAME.{key}" for key in STACK | DEV),
     *(f"fleet.stacks.NAME.containers[].{key}" for key in CONTAINER),
 }
 UNREACHABLE = {"reachable", "reason", "cure"}
@@ -127,7 +129,14 @@ heard.report_as_json("/time", LISTENED.append)("pi1", Report(rate=1, shortest=1,
 PRINTED = {
     "`fab status --json`": (
         STATUS,
-        status.record(facts(current="abc", releases=("abc",), containers=(container("abc"),))),
+        status.record(
+            facts(
+                current="abc",
+                releases=("abc",),
+                containers=(container("abc"),),
+                dev=Dev(by="tim@desktop", since="2026"),
+            )
+        ),
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
     "`fab find --json`": (FOUND, find.record(SEEN, model="")),

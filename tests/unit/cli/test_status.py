@@ -8,7 +8,7 @@ import pytest
 from fleet.cli import status
 from fleet.errors import CommandFailed, FleetError, Unreachable
 from fleet.plan.outcome import Outcome
-from fleet.robot.facts import StackFacts
+from fleet.robot.facts import Dev, StackFacts
 from fleet.robot.history import Event
 from tests.support.samples import NOW, change, container, facts
 
@@ -95,6 +95,13 @@ def test_several_containers_share_a_cell_and_its_colour() -> None:
         "talker healthy 3 min, a swap is under way (swap ship def)",
         "red",
     )
+
+
+def test_who_has_a_robot_in_dev() -> None:
+    """Beside the release whose containers have the files; a robot in dev can be well."""
+    seen = change(WELL, dev=Dev(by="tim@desktop", since="2026-11-28T12:00:00Z"))
+    assert cells(seen)["release"] == ("abc, dev by tim@desktop since 2026-11-28 12:00:00 UTC", "yellow")
+    assert status.good(seen)
 
 
 def test_each_stack_has_a_row_and_the_size_of_its_data() -> None:

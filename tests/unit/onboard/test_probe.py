@@ -15,6 +15,7 @@ import pytest
 
 from fleet.diagnosis.packages import PACKAGES
 from fleet.images.layer import Blob
+from fleet.robot.facts import Dev
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
 from tests.support.robot_shell import SHELLS
@@ -107,6 +108,8 @@ def test_the_probe_sees_what_fleet_keeps_there(tmp_path: Path) -> None:
     (nav / "releases/bbb/services").write_text("node=always\nmap=no\n")
     (nav / "current").symlink_to("releases/bbb")
     (nav / "journal").write_text("ship bbb\n")
+    (nav / "dev").mkdir()
+    (nav / "dev/state").write_text("2026-11-28T12:00:00Z tim@desktop\n")
     (nav / "history").write_text("".join(f"line {number}\n" for number in range(300)))
     (nav / "data").mkdir()
     (nav / "data/map").write_bytes(b"x" * 100_000)
@@ -117,6 +120,7 @@ def test_the_probe_sees_what_fleet_keeps_there(tmp_path: Path) -> None:
     seen = stacks["nav"]
     assert (seen.current, seen.releases, seen.services) == ("bbb", ("aaa", "bbb"), ("node", "map"))
     assert seen.journal == "ship bbb"
+    assert seen.dev == Dev(by="tim@desktop", since="2026-11-28T12:00:00Z")
     assert len(seen.history) == 200
     assert seen.history[-1] == "line 299"
     assert seen.data

@@ -12,6 +12,7 @@ from fleet.plan import compose_steps, ship
 from fleet.plan.compose_steps import Request
 from fleet.plan.delivery import Delivery
 from fleet.plan.step import Plan, Step
+from fleet.robot.facts import Dev
 from fleet.transfer.delivery import stream
 from tests.support.samples import PI, TALKER, change, container, facts, release, stack
 
@@ -120,6 +121,7 @@ def test_a_second_ship_changes_nothing() -> None:
         {"images": {}},
         {"current": "old"},
         {"journal": "swap ship x"},
+        {"dev": Dev(by="tim@desktop", since="2026-11-28T12:00:00Z")},
         {"checksum": "of other files"},
     ],
 )

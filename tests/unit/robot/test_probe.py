@@ -13,7 +13,7 @@ from fleet import onboard
 from fleet.cli import json_output, status
 from fleet.errors import NotAsPlanned, NotReady
 from fleet.provision import daemon_json, steps
-from fleet.robot.facts import Container, Disk, Docker, Facts, Fleet, Host, Login, Packages, StackFacts
+from fleet.robot.facts import Container, Dev, Disk, Docker, Facts, Fleet, Host, Login, Packages, StackFacts
 from fleet.robot.probe import MARK, command, parse
 from fleet.transfer import delivery
 from tests.support.samples import PI
@@ -58,7 +58,7 @@ def test_the_whole_answer_of_a_pi() -> None:
         source="/etc/apt/sources.list.d/docker.list",
         group="docker:x:996:pi,tim",
         identity="0123abcd\n11-22",
-        stacks="stack nav\ncurrent releases/abc\nchecksum 0a1b\nservice node=always\nservice map=no\nboot systemd\nstopped\nrelease abc\nrelease def\nrelease ghi.part\ndata 12\njournal ship abc\nevent one\ttwo\nevent three\nstack cam\ncurrent \ndata unknown",
+        stacks="stack nav\ncurrent releases/abc\nchecksum 0a1b\nservice node=always\nservice map=no\nboot systemd\nstopped\nrelease abc\nrelease def\nrelease ghi.part\ndata 12\njournal ship abc\ndev 2026-11-28T12:00:00Z tim@desktop\nevent one\ttwo\nevent three\nstack cam\ncurrent \ndata unknown",
         legacy="old",
         docker="28.0.4",
         client="Docker version 28.0.4, build b8034c0",
@@ -105,6 +105,7 @@ def test_the_whole_answer_of_a_pi() -> None:
                     journal="ship abc",
                     boot="systemd",
                     stopped=True,
+                    dev=Dev(by="tim@desktop", since="2026-11-28T12:00:00Z"),
                 ),
                 "cam": StackFacts(data=None),
             },
