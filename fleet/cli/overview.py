@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 PURPOSES: Mapping[str, Sequence[str]] = {
     "Set up": ("init", "inventory", "card", "await", "find", "trust", "provision", "completion"),
-    "Ship": ("build", "ship", "rollback", "prune", "start", "stop", "restart", "remove", "bundle"),
+    "Ship": ("build", "ship", "dev", "rollback", "prune", "start", "stop", "restart", "remove", "bundle"),
     "Look": ("status", "history", "logs", "topics", "listen", "run", "shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),
 }

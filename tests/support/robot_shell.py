@@ -7,6 +7,8 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
+import pytest
+
 from fleet.plan.step import Bytes, Step
 
 if TYPE_CHECKING:
@@ -14,6 +16,9 @@ if TYPE_CHECKING:
 
 SHELLS = [shell for shell in ("dash", "bash", "busybox") if shutil.which(shell)]
 """The shells that a robot may have as ``sh``, as far as they are installed here."""
+
+EACH_SHELL = [*SHELLS[:1], *(pytest.param(shell, marks=pytest.mark.desktop) for shell in SHELLS[1:])]
+"""The same as values of a test's parameter: `make check` runs the scripts in one shell, `make test` in all."""
 
 
 def do(step: Step, home: Path) -> subprocess.CompletedProcess[bytes]:

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.robot_shell import SHELLS
+from tests.support.robot_shell import EACH_SHELL
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.fixture(params=SHELLS)
+@pytest.fixture(params=EACH_SHELL)
 def home(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A robot's home, where ``sh`` is each of the shells that are here."""
     (tmp_path / "bin").mkdir()

@@ -8,7 +8,7 @@ import pytest
 
 from fleet import onboard
 from fleet.diagnosis.explain import explain
-from tests.support.robot_shell import SHELLS
+from tests.support.robot_shell import EACH_SHELL
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,7 +46,7 @@ def run(folder: Path, shell: str, journal: str, *, active: bool = False) -> str:
     return subprocess.run(argv, env=environment, capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_the_reason_is_not_pushed_out_by_what_systemd_says(tmp_path: Path, shell: str) -> None:
     """A service that failed three times leaves more lines about that than anybody reads."""
     said = run(tmp_path, shell, ATTEMPT.format(cause=CAUSE) * 3 + LAST)
@@ -57,7 +57,7 @@ def test_the_reason_is_not_pushed_out_by_what_systemd_says(tmp_path: Path, shell
     assert "daemon.json" in cure
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_without_words_of_docker_those_of_systemd_are_shown(tmp_path: Path, shell: str) -> None:
     """As when the daemon's program is missing."""
     said = run(

@@ -8,7 +8,7 @@ import pytest
 
 from fleet import onboard
 from fleet.robot import raspberry_pi
-from tests.support.robot_shell import SHELLS
+from tests.support.robot_shell import EACH_SHELL
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,7 +51,7 @@ def switch_on(boot: Path, *names: str, shell: str = "sh") -> subprocess.Complete
     )
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_without_raspi_config(boot: Path, shell: str) -> None:
     """Marked lines at the end, for all boards; every other byte stays, and so does a copy."""
     done = switch_on(boot, "i2c", "serial", "camera", shell=shell)

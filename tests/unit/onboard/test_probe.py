@@ -18,7 +18,7 @@ from fleet.images.layer import Blob
 from fleet.robot.facts import Dev
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
-from tests.support.robot_shell import SHELLS
+from tests.support.robot_shell import EACH_SHELL, SHELLS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -82,7 +82,7 @@ def program(folder: Path, name: str, script: str) -> None:
     (folder / name).chmod(0o755)
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_the_probe_runs_in_the_shells_of_robots(shell: str, tmp_path: Path) -> None:
     """What it says of this computer is what Python says of it."""
     seen = parse(probed(tmp_path, shell))
@@ -388,7 +388,7 @@ def programs(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path, programs: Path) -> None:
     """What lies in its home comes out as a value: receipts, pieces, pins, and beside them images and tools."""
     files = {
@@ -422,7 +422,7 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
     assert seen.fleet.images == {"talker:fleet-1": name, "talker:fleet-0123456789ab": "sha256:c0"}
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_the_probe_of_a_robot_that_was_never_shipped_to(shell: str, quoted_home: Path) -> None:
     """There is nothing, nothing is made, and nothing is complained about; Docker itself is the desktop's."""
     done = ran(quoted_home, shell)

@@ -18,6 +18,7 @@ from fleet.plan.step import Upload, UploadBatch
 from fleet.transfer import load_archive, receive
 from fleet.transfer.receive import TransferRun
 from tests.support.handmade import Engine, Handmade, digest, layer, packed
+from tests.support.robot_shell import EACH_SHELL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 ONE, OTHER = "one", "other"
 """Runs, by their tokens."""
-
-SHELLS = [shell for shell in ("dash", "bash", "busybox") if shutil.which(shell)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +232,7 @@ def test_a_transfer_from_the_first_byte_to_the_name(pi: Pi) -> None:
     assert digest(kept.read_bytes()) == manifest.ids[1]
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_uploads_are_collected_by_the_shells_of_robots(pi: Pi, shell: str) -> None:
     """Interrupted once, and resumed by the same run."""
     sent = load(image(pi, fresh(), fresh()))

@@ -20,7 +20,7 @@ from fleet.images.image import Image
 from fleet.robot import release as releases
 from fleet.robot.release import Release, compose
 from tests.support import samples
-from tests.support.robot_shell import SHELLS
+from tests.support.robot_shell import EACH_SHELL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -256,7 +256,7 @@ def test_the_archive_unpacks_as_it_was(tmp_path: Path) -> None:
     assert made.archive("/home/pi") == release(files=PROJECT_FILES).archive("/home/pi")
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", EACH_SHELL)
 def test_the_checksum_is_what_the_probe_finds(tmp_path: Path, shell: str) -> None:
     """The order of names too, which may not depend on a language."""
     names: tuple[str, ...] = (
