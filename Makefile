@@ -15,6 +15,9 @@ PYTEST = $(VENV)/bin/pytest --numprocesses $(JOBS)
 SCRIPTS := $(wildcard fleet/onboard/*.sh docker/*.sh fleet/lab/recipe/*.sh) fleet/lab/recipe/first-process .ci/run
 STEP = @printf '\n== %s\n'
 
+# Tests start `fab` some thousand times; each would compile it anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo undemo check test test-pure test-desktop test-unit test-lab test-faults lint format reference
 .PHONY: bench bench-local bench-transfer bench-change bench-build bench-dev picture lock clean desktop testbed env
