@@ -52,9 +52,9 @@ def dev(
 ) -> int:
     """Bring each saved file into the robots' containers.
 
-    It goes on until Ctrl-C. `develop.watch` in the Compose file says which files, where to, and whether a service is restarted, a command run in it,
-    or the image built and shipped. A robot that was away gets all changes when it is back. `fab status` shows that a
-    robot is in dev; `fab ship`, `fab dev --end` and a reboot bring it back to a release.
+    It goes on until Ctrl-C. `develop.watch` in the Compose file says which files, where to, and whether a service is
+    restarted, a command run in it, or the image built and shipped. A robot that was away gets all changes when it is back.
+    `fab status` shows that a robot is in dev; `fab ship`, `fab dev --end` and a reboot bring it back to a release.
     """
     fleet, robots = select(inventory, hosts)
     screen = Screen()

@@ -3,9 +3,10 @@
 #
 # usage: swap.sh VERB STACK RELEASE SEEN BY WAIT SETTLE CONFLICT
 #
-# VERB is ship, rollback, start, restart, stop, dev (`fab dev --end`) or boot (the end of dev at boot). SEEN is the release that was current when this was planned, -
-# for none and ? for unknown. BY is who asked for it (tim@desktop). WAIT is how many seconds the
-# containers may take to become healthy, SETTLE how many a container without a health check must run without a restart.
+# VERB is ship, rollback, start, restart, stop, dev (`fab dev --end`) or boot (the end of dev at boot). SEEN is the release
+# that was current when this was planned, - for none and ? for unknown. BY is who asked for it (tim@desktop). WAIT is how
+# many seconds the containers may take to become healthy, SETTLE how many a container without a health check must run
+# without a restart.
 # CONFLICT is robot or desktop: whose version of a file wins that both have changed.
 #
 # A release's file `services` names those that must run, each with its restart policy: no, on-failure or always.
