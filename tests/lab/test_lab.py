@@ -35,7 +35,7 @@ def booted(pi: Pi) -> str:
     while True:
         try:
             return pi.exec("timeout", "60", "sh", "-c", script)
-        except subprocess.CalledProcessError:
+        except AssertionError:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.2)
