@@ -270,16 +270,16 @@ judge() { # SECONDS
         }'
 }
 
-# Seconds since the boot. The clock of a robot without a battery jumps by months when it finds a time server.
-seconds() { cut -d. -f1 /proc/uptime; }
+# Hundredths of seconds since the boot. The clock of a robot without a battery jumps by months when it finds a time server.
+uptime() { cut -d' ' -f1 /proc/uptime | tr -d .; }
 
 watch() {
-    began=$(seconds) most=$wait proved=
+    began=$(uptime) most=$wait proved=
     [ "$settle" -le "$most" ] || most=$settle
     while :; do
         # shellcheck disable=SC2046 # one word per container
         proved="$proved $(check_all $(states | awk -v proved="$proved" '$3 == "running" && $6 == "starting" && !index(proved, $1) { print $1 }') | tr '\n' ' ')"
-        passed=$(($(seconds) - began))
+        passed=$((($(uptime) - began) / 100))
         verdict=$(judge "$passed")
         case $verdict in
             ok)
