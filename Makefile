@@ -73,7 +73,7 @@ test-unit: testbed env ## all tests that need no virtual Pi
 
 test-lab: testbed env ## the tests on virtual Pis, in labs of their own
 	$(STEP) 'Tests on virtual Pis'
-	@$(PYTEST) tests/lab --dist loadfile --no-loadscope-reorder
+	@$(PYTEST) tests/lab --dist loadfile --no-loadscope-reorder --durations 12
 
 test-faults: testbed env ## power cuts, cut links, people at once, full disks, liars on virtual Pis; writes docs/reliability.md (an hour)
 	$(STEP) 'Faults'
