@@ -97,6 +97,10 @@ def opened(path: Path) -> Generator[BundleReader]:
         UsageError: it is not a bundle, not whole, or has been edited.
 
     """
+    if not path.exists():
+        raise UsageError(
+            f"there is no bundle {path}", cure="name the folder of the stick, or the tar archive"
+        )
     with contextlib.ExitStack() as stack:
         try:
             folder = path if path.is_dir() else stack.enter_context(_untarred(path))

@@ -45,7 +45,7 @@ class Outcome:
 def failure(robot: str, problem: FleetError) -> Outcome:
     """The outcome of a robot whose work ended in an error."""
     status: Status = "unreachable" if isinstance(problem, Unreachable) else "failed"
-    refused = isinstance(problem, Refused)
+    refused = problem.exit_code == Refused.exit_code
     return Outcome(robot=robot, status=status, reason=problem.what, cure=problem.cure, refused=refused)
 
 

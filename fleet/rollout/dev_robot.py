@@ -54,6 +54,7 @@ class _Robot:
         self._generation = session.generation
         self._warned = False
         self._shown = ""
+        self._away = False
         self._baseline: tuple[State, ...] = ()
         self._told: set[str] = set()
 
@@ -70,6 +71,7 @@ class _Robot:
             except (LinkLost, Unreachable, TimedOut) as problem:
                 if self._link.closed.is_set():
                     break
+                self._away = True
                 self._status(f"away ({problem.what}); it gets all changes when it is back")
             except CommandFailed as problem:
                 if problem.code == BUSY:
@@ -96,8 +98,10 @@ class _Robot:
 
     def _attend(self) -> str:
         """Hold the stack in dev, and sync. Returns how dev has ended, or "" if there is a newer build."""
-        self._status("look at the robot")
+        if not self._away:
+            self._status("look at the robot")
         facts = self._link.facts()
+        self._away = False
         self._begin(facts)
         argv = dev_steps.hold(
             self._target.stack, self._release, session=self._session.name, request=self._target.request

@@ -64,7 +64,7 @@ def test_a_bundle_is_checked_before_it_is_used(tmp_path: Path) -> None:
     (tmp_path / SUMS).unlink()
     refused(tmp_path, "not a bundle of fleet, or not a whole one")
     refused(tmp_path / "READ-ME.txt", "cannot be read")
-    refused(tmp_path / "nowhere", "cannot be read")
+    refused(tmp_path / "nowhere", "there is no bundle")
 
 
 def refused(path: Path, words: str) -> None:

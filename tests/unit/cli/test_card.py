@@ -105,7 +105,7 @@ def test_the_oldest_system_takes_a_password(project: Project, monkeypatch: pytes
     boot = boot_partition(project.folder / "bootfs", BULLSEYE)
     words = ("card", "--hosts", "pi7", "--boot", "bootfs")
     asked = project.fleet(*words)
-    assert asked.code == 1
+    assert asked.code == 2
     assert "no answer to: Password for the login operator on pi7" in asked.out
     assert "--password-from VARIABLE" in asked.out
     monkeypatch.setenv("LOGIN", "geheim")
@@ -122,7 +122,7 @@ def test_the_card_of_another_robot(project: Project) -> None:
     boot = boot_partition(project.folder / "bootfs", TRIXIE)
     project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
     refused = project.fleet("card", "--hosts", "pi8", "--boot", "bootfs")
-    assert refused.code == 1
+    assert refused.code == 2
     assert "the card at bootfs was prepared for the robot pi7" in refused.out
     done = project.fleet("card", "--hosts", "pi8", "--boot", "bootfs", "--overwrite")
     assert done.code == 0
@@ -159,7 +159,7 @@ def test_ctrl_c_between_two_cards(project: Project, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(console.Screen, "interactive", True)
     monkeypatch.setattr(console.Screen, "pause", lambda _, text: "pi7" in text)
     done = project.fleet("card", "--boot", "bootfs", "--json")
-    assert done.code == 1
+    assert done.code == 2
     assert [one["status"] for one in json.loads(done.out)] == ["done", "skipped"]
 
 
@@ -176,7 +176,7 @@ def test_a_passphrase_that_is_none(
     boot = boot_partition(project.folder / "bootfs", TRIXIE)
     monkeypatch.setenv("LAB_WIFI", passphrase)
     refused = project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
-    assert refused.code == 1
+    assert refused.code == 2
     assert reason in refused.out
     assert cure in refused.out
     assert files(boot) == TRIXIE
@@ -203,8 +203,8 @@ def test_a_passphrase_is_asked_for_once(project: Project, monkeypatch: pytest.Mo
     ("words", "code", "reason"),
     [
         ((), 2, "which card?"),
-        (("--boot", "nothing"), 1, "--boot nothing: no such folder"),
-        (("--boot", "."), 1, "is not the boot partition of a Raspberry Pi"),
+        (("--boot", "nothing"), 2, "--boot nothing: no such folder"),
+        (("--boot", "."), 2, "is not the boot partition of a Raspberry Pi"),
     ],
 )
 def test_no_card(project: Project, words: tuple[str, ...], code: int, reason: str) -> None:

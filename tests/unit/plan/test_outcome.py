@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from fleet.errors import NotAsPlanned, Refused, Unreachable
+from fleet.errors import NotAsPlanned, Refused, Unreachable, UsageError
 from fleet.plan.outcome import Outcome, Status, exit_code, failure
 
 
@@ -13,6 +13,7 @@ def test_an_error_as_an_outcome() -> None:
     )
     assert failure("pi1", NotAsPlanned("odd")).status == "failed"
     assert failure("pi1", Refused("taken")).refused
+    assert failure("pi1", UsageError("no such folder", cure="look")).refused
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,16 @@ def test_a_robot_that_was_away_gets_all_of_it(robot: Reachable, tim: Person) -> 
     )
 
 
+def test_a_robot_that_is_away_is_told_once(tim: Person, sshds: Sshds) -> None:
+    """However often it is looked for: who reads that in a file would find nothing else there."""
+    tim.await_status("in step")
+    sshds.stop()
+    tim.await_status("away (")
+    time.sleep(5)  # two more attempts
+    lines = [title for _, title, _ in tim.told.began_with if title.startswith(("away", "look"))]
+    assert [line.partition(" ")[0] for line in lines] in (["look", "away"], ["look", "away", "away"])
+
+
 def test_a_container_that_does_not_come_back(robot: Reachable, tim: Person) -> None:
     """Why, its last lines, and both ways out; then the corrected file, and all is well."""
     tim.save("node", "echo lidar is missing; exit 7\n")
