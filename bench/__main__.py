@@ -3,9 +3,6 @@
 ``make bench-transfer`` is ``python -m bench transfer``: images over an emulated Wi-Fi, written to
 ``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes. ``make bench-change`` is
 ``python -m bench change``: one changed line of a node until robots run it, written to ``docs/benchmarks-change.md``.
-
-``docs/benchmarks-transfer.md`` and its picture. Needs root as well; under 40 minutes.
-
 ``make bench-build`` is ``python -m bench build``: a C++ package for a robot, cross-compiled and emulated, written to
 ``docs/benchmarks-build.md``. Under an hour on a computer that does nothing else, nearly all of it emulation.
 """
@@ -19,7 +16,9 @@ import signal
 import sys
 import tempfile
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -33,7 +32,7 @@ from fleet.errors import FleetError
 from fleet.images.docker_cli import docker
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 TIME = 540
 """Seconds after which the measuring ends, finished or not; cleaning up comes after that."""
@@ -53,79 +52,87 @@ SERVERS = 50
 MEGABYTE = 10**6
 
 
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What was measured. ``pages`` has the files in docs/, for a time and a computer; ``whole``: nothing of it failed."""
+
+    rows: Sequence[Row]
+    engine: str
+    pages: Callable[[str, str], Mapping[str, str]]
+    whole: bool = True
+
+
 def main() -> int:
     """Measure, print, write; 0 when every goal is met, 1 when one is not."""
-    if sys.argv[1:2] == ["transfer"]:
-        return _transfer(transfer.asked(sys.argv[2:]))
-    if sys.argv[1:2] == ["change"]:
-        return _change(change.asked(sys.argv[2:]))
-    if sys.argv[1:2] == ["build"]:
-        return _build()
+    which, words = sys.argv[1:2], sys.argv[2:]
+    if which == ["transfer"]:
+        return _run(partial(_transfer, transfer.asked(words)), limit=TRANSFER_TIME)
+    if which == ["change"]:
+        return _run(partial(_change, change.asked(words)), limit=CHANGE_TIME)
+    if which == ["build"]:
+        return _run(_build, limit=BUILD_TIME)
+    return _run(_local, limit=TIME)
+
+
+def _run(measure: Callable[[Path, Screen], Result], *, limit: int) -> int:
     screen = Screen()
     when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
     try:
-        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(TIME):
-            environment = _environment()
-            rows = [*_asking(Path(folder), environment, screen)]
-            more, engine = _streaming(Path(folder), environment, screen)
+        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(limit):
+            result = measure(Path(folder), screen)
     except (FleetError, RuntimeError, TimeoutError) as problem:
         screen.say(f"bench: {problem}")
         return 1
-    rows = [*more, *rows]
-    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
-    page = report.page(rows, when=when, machine=_machine(engine, load))
-    (ROOT / "docs" / "benchmarks.md").write_text(page, encoding="utf-8")
-    return 0 if all(row.met for row in rows) else 1
+    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in result.rows])
+    for name, text in result.pages(when, _machine(result.engine, load)).items():
+        (ROOT / "docs" / name).write_text(text, encoding="utf-8")
+    return 0 if result.whole and all(row.met for row in result.rows) else 1
 
 
-def _transfer(asked: transfer.Asked) -> int:
-    screen = Screen()
-    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
-    try:
-        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(TRANSFER_TIME):
-            measured = transfer.measure(
-                asked, folder=Path(folder), environment=_environment(), say=screen.say
-            )
-    except (FleetError, RuntimeError, TimeoutError) as problem:
-        screen.say(f"bench: {problem}")
-        return 1
-    rows = figures.goals(measured)
-    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
-    page = figures.page(measured, when=when, machine=_machine(measured.engine, load))
-    (ROOT / "docs" / "benchmarks-transfer.md").write_text(page, encoding="utf-8")
-    (ROOT / "docs" / "benchmarks-transfer.svg").write_text(figures.picture(measured), encoding="utf-8")
-    return 0 if all(row.met for row in rows) and not measured.failed else 1
+def _local(folder: Path, screen: Screen) -> Result:
+    environment = _environment()
+    asked = _asking(folder, environment, screen)
+    streamed, engine = _streaming(folder, environment, screen)
+    rows = [*streamed, *asked]
+    return Result(
+        rows=rows,
+        engine=engine,
+        pages=lambda when, machine: {"benchmarks.md": report.page(rows, when=when, machine=machine)},
+    )
 
 
-def _change(asked: change.Asked) -> int:
-    screen = Screen()
-    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
-    try:
-        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(CHANGE_TIME):
-            measured = change.measure(asked, folder=Path(folder), environment=_environment(), say=screen.say)
-    except (FleetError, RuntimeError, TimeoutError) as problem:
-        screen.say(f"bench: {problem}")
-        return 1
-    rows = change_page.goals(measured)
-    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
-    page = change_page.page(measured, when=when, machine=_machine(measured.engine, load))
-    (ROOT / "docs" / "benchmarks-change.md").write_text(page, encoding="utf-8")
-    return 0 if all(row.met for row in rows) and not measured.unfinished else 1
+def _transfer(asked: transfer.Asked, folder: Path, screen: Screen) -> Result:
+    measured = transfer.measure(asked, folder=folder, environment=_environment(), say=screen.say)
+    return Result(
+        rows=figures.goals(measured),
+        engine=measured.engine,
+        pages=lambda when, machine: {
+            "benchmarks-transfer.md": figures.page(measured, when=when, machine=machine),
+            "benchmarks-transfer.svg": figures.picture(measured),
+        },
+        whole=not measured.failed,
+    )
 
 
-def _build() -> int:
-    screen = Screen()
-    when, load = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), os.getloadavg()[0]
-    try:
-        with tempfile.TemporaryDirectory(prefix="fleetbench") as folder, _bounded(BUILD_TIME):
-            rows = compiling.measure(folder=Path(folder), say=screen.say)
-    except (FleetError, RuntimeError, TimeoutError) as problem:
-        screen.say(f"bench: {problem}")
-        return 1
-    screen.table(report.COLUMNS, [[(cell, "") for cell in row.cells()] for row in rows])
-    page = compiling.page(rows, when=when, machine=_machine("", load))
-    (ROOT / "docs" / "benchmarks-build.md").write_text(page, encoding="utf-8")
-    return 0 if all(row.met for row in rows) else 1
+def _change(asked: change.Asked, folder: Path, screen: Screen) -> Result:
+    measured = change.measure(asked, folder=folder, environment=_environment(), say=screen.say)
+    return Result(
+        rows=change_page.goals(measured),
+        engine=measured.engine,
+        pages=lambda when, machine: {
+            "benchmarks-change.md": change_page.page(measured, when=when, machine=machine)
+        },
+        whole=not measured.unfinished,
+    )
+
+
+def _build(folder: Path, screen: Screen) -> Result:
+    rows = compiling.measure(folder=folder, say=screen.say)
+    return Result(
+        rows=rows,
+        engine="",
+        pages=lambda when, machine: {"benchmarks-build.md": compiling.page(rows, when=when, machine=machine)},
+    )
 
 
 def _asking(folder: Path, environment: Mapping[str, str], screen: Screen) -> tuple[Row, ...]:

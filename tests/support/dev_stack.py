@@ -18,28 +18,10 @@ from typing import TYPE_CHECKING
 from fleet import onboard
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
-BUSYBOX = Path(shutil.which("busybox") or "/bin/busybox")
 NODE = "trap 'exit 0' TERM; cat /app/node; . /app/node; while :; do sleep 0.1; done"
 """What the container does: it reads its program, as a node of ROS does, and stays."""
-
-
-def make_image(applets: tuple[str, ...]) -> Iterator[str]:
-    """Yield an image whose only programs are some of busybox's, and remove it at the end."""
-    name = f"fleet-test-{uuid.uuid4().hex[:12]}:latest"
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        archive.add(BUSYBOX.resolve(), "bin/busybox")
-        for applet in applets:
-            link = tarfile.TarInfo(f"bin/{applet}")
-            link.type, link.linkname = tarfile.SYMTYPE, "busybox"
-            archive.addfile(link)
-        program = tarfile.TarInfo("app/node")
-        archive.addfile(program)
-    subprocess.run(("docker", "import", "-", name), input=buffer.getvalue(), check=True, capture_output=True)
-    yield name
-    subprocess.run(("docker", "image", "rm", "--force", name), check=True, capture_output=True)
 
 
 @dataclass(frozen=True)

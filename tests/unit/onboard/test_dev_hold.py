@@ -13,8 +13,9 @@ from fleet.onboard.exit_codes import BUSY, UNUSABLE
 from fleet.plan import dev_steps
 from fleet.plan.compose_steps import Request
 from fleet.robot.history import history
-from tests.support.dev_stack import DevStack, Holding, make_image
+from tests.support.dev_stack import DevStack, Holding
 from tests.support.lab_project import eventually
+from tests.support.small_image import make_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

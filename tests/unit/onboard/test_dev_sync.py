@@ -11,7 +11,8 @@ from fleet.onboard.exit_codes import BROKEN_OFF
 from fleet.plan import dev_steps
 from fleet.plan.watch import GONE, Change, Entry
 from fleet.rollout.sync_archive import Archives
-from tests.support.dev_stack import DevStack, make_image
+from tests.support.dev_stack import DevStack
+from tests.support.small_image import make_image
 
 if TYPE_CHECKING:
     import subprocess

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import io
 import json
 import os
 import shutil
 import subprocess
 import sys
-import tarfile
 import time
 import uuid
 from dataclasses import dataclass, field
@@ -21,12 +19,10 @@ import pytest
 
 from fleet import onboard
 from fleet.robot.history import history
+from tests.support.small_image import make_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-BUSYBOX = Path(shutil.which("busybox") or "/bin/busybox")
-"""A static one, which `make test` installs; a shell, and all that the containers run."""
 
 STAYS = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 CRASHES = "sleep 2; exit 7"
@@ -35,17 +31,7 @@ CRASHES = "sleep 2; exit 7"
 @pytest.fixture(scope="module")
 def image(desktop: None) -> Iterator[str]:  # noqa: ARG001  it marks the test
     """An image with a shell."""
-    name = f"fleet-test-{uuid.uuid4().hex[:12]}:latest"
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        archive.add(BUSYBOX.resolve(), "bin/busybox")
-        for applet in ("sh", "sleep", "cat", "true", "touch", "chown"):
-            link = tarfile.TarInfo(f"bin/{applet}")
-            link.type, link.linkname = tarfile.SYMTYPE, "busybox"
-            archive.addfile(link)
-    subprocess.run(("docker", "import", "-", name), input=buffer.getvalue(), check=True, capture_output=True)
-    yield name
-    subprocess.run(("docker", "image", "rm", "--force", name), check=True, capture_output=True)
+    yield from make_image(("sh", "sleep", "cat", "true", "touch", "chown"))
 
 
 @dataclass(frozen=True)

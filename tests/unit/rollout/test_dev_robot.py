@@ -18,9 +18,10 @@ from fleet.rollout.dev import Session, Target
 from fleet.rollout.dev_robot import attend
 from fleet.rollout.link import Link
 from fleet.rollout.sync_archive import Archives
-from tests.support.dev_stack import DevStack, make_image
+from tests.support.dev_stack import DevStack
 from tests.support.homes import Told, identity, start
 from tests.support.lab_project import eventually
+from tests.support.small_image import make_image
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
