@@ -54,9 +54,7 @@ class Patterns:
     def __init__(self, lines: Iterable[str]) -> None:
         self.lines = tuple(line.strip() for line in lines if line.strip() and not line.startswith("#"))
         self.exceptions = any(line.startswith("!") for line in self.lines)
-        self._rules = [
-            (not line.startswith("!"), re.compile(_regex(line.lstrip("!")))) for line in self.lines
-        ]
+        self._rules = [(not line.startswith("!"), _compiled(line)) for line in self.lines]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Patterns) and self.lines == other.lines
@@ -73,6 +71,16 @@ class Patterns:
             if takes != matched and any(pattern.fullmatch(one) for one in above):
                 matched = takes
         return matched
+
+
+def _compiled(line: str) -> re.Pattern[str]:
+    """Raises `ComposeError` if a range in it is none, such as ``[b-a]``."""
+    try:
+        return re.compile(_regex(line.lstrip("!")))
+    except re.error as problem:
+        raise ComposeError(
+            f"the pattern {line} of develop.watch or .dockerignore is wrong: {problem}", cure="correct it"
+        ) from None
 
 
 def _regex(pattern: str) -> str:
@@ -103,7 +111,8 @@ class Rule:
 
     ``path`` is a file or a folder of this computer, ``target`` where it is in the container. ``initial``: what is there
     already is synced at the start. ``ignored`` and ``only`` are relative to ``path``; ``build_ignored`` to ``context``,
-    the folder of the build.
+    the folder of the build. ``mounted`` are the places in the container that something else is mounted on: what is there
+    belongs to the robot or to the release, and is not synced.
     """
 
     service: str
@@ -115,6 +124,7 @@ class Rule:
     only: Patterns = field(default_factory=lambda: Patterns(()))
     context: str = ""
     build_ignored: Patterns = field(default_factory=lambda: Patterns(()))
+    mounted: tuple[str, ...] = ()
     hook: Hook | None = None
 
     @property
@@ -127,6 +137,8 @@ class Rule:
         if path == self.path:
             return True
         if not path.startswith(f"{self.path}/") or self._leaves_out(path):
+            return False
+        if self.syncs and _below(self.place(path), self.mounted):
             return False
         return not self.only.lines or self.only.match(path[len(self.path) + 1 :])
 
@@ -179,6 +191,9 @@ def _rule(
         raise _refusal(name, number, here, action, target, project=project)
     if _is_mounted(here, name, project=project, stack=stack):
         action = "rebuild"  # a file of the release itself: only a ship brings it
+    mounted = tuple(str(volume["target"]) for volume in service.get("volumes") or ())
+    if action.startswith("sync") and _below(target, mounted):
+        raise _onto_mount(_place(name, number, project), target)
     context, ignored = _build_ignored(service, project)
     return Rule(
         service=name,
@@ -190,6 +205,7 @@ def _rule(
         only=Patterns(map(literal, entry.get("include") or ())),
         context=context,
         build_ignored=ignored,
+        mounted=mounted,
         hook=_hook(entry.get("exec") or {}) if action == "sync+exec" else None,
     )
 
@@ -198,13 +214,29 @@ def _refusal(
     name: str, number: int, here: Path, action: Action | None, target: str, *, project: Project
 ) -> ComposeError:
     """Why an entry cannot be followed, with its place in the file."""
-    place = f"{where(project, ('services', name, 'develop', 'watch', number))}: services.{name}.develop.watch"
+    place = _place(name, number, project)
     if action is None:
         return ComposeError(f"{place}: unknown action", cure=f"use one of {', '.join(_ACTIONS)}")
     if not here.exists():
         return ComposeError(f"{place}: {here} is not there", cure="correct `path:`, or make the folder")
     what = f"`target: {target}` is not a path in the container"
     return ComposeError(f"{place}: {what}", cure="write the whole path, such as /opt/talker")
+
+
+def _onto_mount(place: str, target: str) -> ComposeError:
+    return ComposeError(
+        f"{place}: `target: {target}` is on a volume or a mount, and what is there belongs to the robot",
+        cure="sync to another folder, or mount the folder of the project read-only: then changes are shipped",
+    )
+
+
+def _place(service: str, number: int, project: Project) -> str:
+    """Where an entry is, for a message."""
+    return f"{where(project, ('services', service, 'develop', 'watch', number))}: services.{service}.develop.watch"
+
+
+def _below(path: str, folders: Iterable[str]) -> bool:
+    return any(PurePosixPath(path).is_relative_to(folder) for folder in folders)
 
 
 def _is_mounted(here: Path, service: str, *, project: Project, stack: Stack) -> bool:

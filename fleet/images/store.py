@@ -41,6 +41,9 @@ _LOCAL = "http+docker://localhost"
 _SAVES = 100_000_000
 """Bytes of an image per second that `docker save` gives out, staging included; a push packs a quarter of that."""
 
+_FINISHING = 10.0
+"""Seconds that a push which is not needed any more has to end."""
+
 
 class Store:
     """The local engine's images. Open it with ``with``: one connection to the engine for the whole of a verb."""
@@ -317,8 +320,19 @@ class Store:
             return
         self._primed = True
         with contextlib.suppress(self._errors.DockerException, OSError):
-            registry = self._primer.enter_context(push.Registry(lacks=(), folder=None, most=0))
-            self._primer.callback(self._begin_push(wanted.reference, registry, self._primer).stop)
+            used = contextlib.ExitStack()
+            self._primer.callback(used.close)
+            registry = used.enter_context(push.Registry(lacks=(), folder=None, most=0))
+            pushing = self._begin_push(wanted.reference, registry, used)
+
+            def finish() -> None:
+                pushing.over.wait()
+                used.close()  # the port is free for the next push
+
+            finishing = threading.Thread(target=finish, daemon=True)
+            finishing.start()
+            self._primer.callback(finishing.join, _FINISHING)
+            self._primer.callback(pushing.stop)
 
     def _begin_push(self, local: str, registry: push.Registry, stack: contextlib.ExitStack) -> push.Push:
         """Begin to push an image under a name that it has until the stack is closed."""

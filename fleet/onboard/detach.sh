@@ -16,7 +16,10 @@ run=$runs/$token
 restarted=74
 
 mkdir -p "$runs" || exit 1
-find "$runs" -mindepth 1 -maxdepth 1 -mtime +7 -exec rm -rf {} + 2>/dev/null
+# What is still to be finished, or to be done at boot, stays, however old it is.
+find "$runs" -mindepth 1 -maxdepth 1 -mtime +7 2>/dev/null | while IFS= read -r old; do
+    grep -qsxF "${old##*/}" "$HOME"/.fleet/stacks/*/journal "$HOME"/.fleet/stacks/*/dev/back || rm -rf "$old"
+done
 launch() { setsid sh "$run/start" "$run" >/dev/null 2>&1 </dev/null & }
 # After a restart of the robot the process's number may be another one's.
 alive() { process=$(cat "$run/process" 2>/dev/null) && grep -qsaF "$run" "/proc/$process/cmdline"; }
@@ -34,7 +37,9 @@ set --
 while IFS= read -r word; do set -- "$@" "$word"; done <"$run/arguments"
 export FLEET_RUN="${run##*/}"
 sh -c "$(cat "$run/script")" "$@" >"$run/out" 2>"$run/errors" </dev/null 8>&-
-echo $? >"$run/code.new" && mv "$run/code.new" "$run/code"
+code=$?
+[ "$code" != 75 ] || [ ! -e "$run/later" ] || exit 0 # not now: at the next boot
+echo "$code" >"$run/code.new" && mv "$run/code.new" "$run/code"
 END
 }
 if problem=$(mkdir "$run" 2>&1); then
@@ -43,6 +48,7 @@ if problem=$(mkdir "$run" 2>&1); then
         printf 'nothing was started: %s\n' "$problem" >&2
         exit 1
     fi
+    [ -z "${FLEET_LATER-}" ] || : >"$run/later"
     sync "$run"/* "$run" 2>/dev/null || sync
     [ -z "${FLEET_LATER-}" ] || exit 0
     launch

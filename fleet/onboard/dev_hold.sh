@@ -54,14 +54,17 @@ ids_of() { ours --quiet --filter "label=com.docker.compose.service=$1" | sort | 
 
 # --- The stack is in dev from here on, also after a power cut
 
+[ ! -s "$here/journal" ] || fail "$unusable" "a start of a release was interrupted here: \`fab ship\` finishes it"
+# Written beside, synced, renamed: after a power cut each is the old one or the new one.
+put() { cat >"$1.new" && { sync "$1.new" 2>/dev/null || sync; } && mv -f "$1.new" "$1"; }
 since=$(cut -d ' ' -f 1 "$dev/state" 2>/dev/null)
 [ -n "$since" ] || since=$(date -u +%Y-%m-%dT%H:%M:%SZ)
 back=$session.$$
 FLEET_LATER=1 sh -c "$detach" detach "$back" "$swap" swap boot "$stack" "$release" '?' "$by" "$wait" "$settle" robot || exit 1
 before=$(cat "$dev/back" 2>/dev/null)
-echo "$back" >"$dev/back" && echo "$session" >"$dev/session" && echo "$since $by" >"$dev/state" || exit 1
+echo "$since $by" | put "$dev/state" && echo "$session" | put "$dev/session" && echo "$back" | put "$dev/back" || exit 1
+sync "$dev" 2>/dev/null || sync
 [ -z "$before" ] || rm -rf "$fleet/runs/${before:?}"
-sync "$dev"/* "$dev" 2>/dev/null || sync
 find "$dev" -name 'work.*' -prune -exec rm -rf {} +
 find "$dev" -name 'in-*' -mmin +1440 -exec rm -f {} +
 

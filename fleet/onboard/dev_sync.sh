@@ -69,7 +69,7 @@ forget() { # SERVICE IDS
     } >"$has.new" && mv -f "$has.new" "$has"
 }
 remember() { # SERVICE
-    awk -v service="$1" '$2 == service { sub(/^[^ ]+ [^ ]+ /, ""); print }' "$work/plan" >>"$has"
+    awk -v service="$1" '$2 == service { sub(/^[^ ]+ [^ ]+ /, ""); print }' "$work/plan" >>"$dev/has-$1"
 }
 
 put() { # SERVICE ID
@@ -86,9 +86,16 @@ remove() { # SERVICE ID
     tr '\n' '\0' <"$work/gone" | xargs -0 docker exec --user 0 "$2" rm -f -- >"$work/said" 2>&1 && return
     if grep -qE 'executable file not found|no such file' "$work/said"; then
         echo "note: $1: $(wc -l <"$work/gone") files stay in the container, because its image has no \`rm\`: \`fab build\` and \`fab ship\` remove them"
+    elif grep -qE 'is not running|is restarting' "$work/said"; then
+        : >"$work/later" # what has come may be its repair: it is started first
     else
         fail 1 "$1: cannot remove files: $(tail -n 1 "$work/said")"
     fi
+}
+remove_all() {
+    while IFS= read -r service <&3; do
+        for id in $(ids_of "$service"); do remove "$service" "$id"; done
+    done 3<"$work/services"
 }
 
 cut -d ' ' -f 2 "$work/plan" | sort -u >"$work/services"
@@ -102,14 +109,20 @@ while IFS= read -r service <&3; do
         fail "$broken_off" 'its containers were replaced'
     fi
     forget "$service" "$ids" || exit 1
-    for id in $ids; do
-        put "$service" "$id"
-        remove "$service" "$id"
-    done
-    remember "$service" || exit 1
+    for id in $ids; do put "$service" "$id"; done
 done 3<"$work/services"
+remove_all
 
 all=
 for service in "$@"; do all="$all $(ids_of "$service")"; done
 # shellcheck disable=SC2086 # one word per container
 [ -z "${all# }" ] || problem=$(docker restart $all 2>&1 >/dev/null) || fail 1 "the restart failed: $problem"
+if [ -e "$work/later" ]; then
+    rm -f "$work/later"
+    remove_all
+    [ ! -e "$work/later" ] || fail 1 'a container does not run, so files cannot be removed from it yet'
+fi
+
+# Docker's files too: after a power cut, what is remembered must be in the containers.
+sync
+while IFS= read -r service <&3; do remember "$service" || exit 1; done 3<"$work/services"

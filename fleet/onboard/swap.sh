@@ -50,10 +50,11 @@ say "$by, who runs fab $verb since $(date +%H:%M:%S)" >"$fleet/holder"
 
 # --- What is there
 
-# A desktop that came back after the boot goes on with dev, and has prepared another end.
-if [ "$verb" = boot ]; then
+# A desktop that came back after the boot goes on with dev, and has prepared another end. One that a power cut has ended
+# half-way goes on: it is in the journal.
+if [ "$verb" = boot ] && ! grep -qsxF "${FLEET_RUN-}" "$here/journal"; then
     [ "$(cat "$here/dev/back" 2>/dev/null)" = "${FLEET_RUN-}" ] || exit 0
-    [ ! -e "$here/stopped" ] || exit 0 # it stays stopped, and in dev
+    [ ! -e "$here/stopped" ] || exit "$busy" # it stays stopped, and in dev
 fi
 folder() { printf '%s/releases/%s' "$here" "$1"; }
 before=$(readlink "$here/current" 2>/dev/null) || before=

@@ -132,7 +132,7 @@ class Session:
         self.progress.note("build", f"{Path(reason).name} has changed: new images, then a ship")
         try:
             ship = self._rebuild()
-        except FleetError as problem:
+        except (FleetError, OSError) as problem:
             self.progress.note("build", f"failed: {problem}")
             self.progress.note(
                 "build", "the robots keep what they have; save the file again when it is corrected"

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 _MOST = 100_000
 """Files that a robot may say it has: more than `fleet.rollout.saved_files.MOST` are no answer."""
 
+_LONGEST = 5000
+"""Characters of one such line: Linux has paths of up to 4096."""
+
+_MOST_PARTS = 100
+
 _LAST_LINES = 8
 """Log lines of a container that has ended; ``onboard/dev_hold.sh`` has the number too."""
 
@@ -79,9 +84,13 @@ class Hold:
     def _hear(self, line: str) -> None:
         word, _, rest = line.partition(" ")
         match word, rest.split(" ", 2):
-            case "has", [service, digest, place] if len(self.has) < _MOST:
+            case "has" | "part", _ if self._ready.is_set():
+                pass  # from then on, this side changes what it has
+            case "has", [service, digest, place] if len(self.has) < _MOST and len(line) < _LONGEST:
                 self.has[service, place] = digest
-            case "part", [name, size] if size.isdecimal():
+            case "part", [name, size] if (
+                size.isdecimal() and len(size) < 16 and len(self.parts) < _MOST_PARTS
+            ):
                 self.parts[name] = int(size)
             case "said", [service, *text]:
                 self.said = [*self.said, (service, " ".join(text))][-_LAST_LINES:]

@@ -19,6 +19,7 @@ from fleet.rollout.dev_hold import Hold
 from fleet.rollout.stream import Lines
 
 if TYPE_CHECKING:
+    from fleet.config.watch import Hook
     from fleet.plan.watch import State, Work
     from fleet.robot.facts import Facts
     from fleet.rollout.dev import Session
@@ -34,6 +35,9 @@ _AGAIN = 30.0
 
 _SLOWEST = 20_000
 """Bytes per second that an upload must reach; 300 s more are for the robot's own work, such as a slow stop."""
+
+_LONGEST_HOOK = 60.0
+"""Seconds for a command of `sync+exec`."""
 
 _ONE_PERSON = "one person at a time: ask them to leave it, or choose other robots; a lost connection counts for a minute"
 
@@ -55,6 +59,8 @@ class _Robot:
         self._warned = False
         self._shown = ""
         self._away = False
+        self._unshipped = ""
+        self._due: dict[tuple[str, Hook], None] = {}
         self._baseline: tuple[State, ...] = ()
         self._told: set[str] = set()
 
@@ -92,6 +98,7 @@ class _Robot:
         if outcome.status == "unreachable":
             raise Unreachable(outcome.reason)
         self._generation, self._release = generation, ""
+        self._unshipped = "" if outcome.good else "the new images are not shipped"
         if not outcome.good:
             for text in (outcome.reason, outcome.cure):
                 self._note(text)
@@ -135,7 +142,7 @@ class _Robot:
 
     def _keep(self, hold: Hold) -> str:
         """Sync whenever the robot lacks something, and show how its containers are."""
-        seen, again, synced = -1, float("inf"), "in step"
+        seen, again, synced = -1, float("inf"), self._unshipped or "in step"
         told = hold.states
         while True:
             with self._session.changed:
@@ -177,7 +184,9 @@ class _Robot:
     def _sync(self, hold: Hold) -> str:
         """Bring what the robot lacks. Returns what was done."""
         work, tree = self._session.work(self._target.rules, hold.has)
+        self._due |= dict.fromkeys(work.hooks)
         if not work.changes:
+            self._run_hooks()  # a connection was lost before they had run
             return ""
         began = time.monotonic()
         try:
@@ -189,7 +198,7 @@ class _Robot:
         hold.forget(archive.changes)
         self._upload(archive, work, offset=hold.parts.pop(archive.name, 0))
         hold.remember(archive.changes)
-        self._run_hooks(work)
+        self._run_hooks()
         restarted = f", {' and '.join(work.restart)} restarted" if work.restart else ""
         return f"synced {_files(len(work.changes))}{restarted} in {time.monotonic() - began:.1f} s"
 
@@ -218,11 +227,16 @@ class _Robot:
         if result.code:
             raise _failed(result.errors or result.output, result.code)
 
-    def _run_hooks(self, work: Work) -> None:
-        for service, hook in work.hooks:
+    def _run_hooks(self) -> None:
+        for service, hook in tuple(self._due):
             argv = dev_steps.hook(self._target.stack, self._release, service, hook)
-            result = self._link.session.run(argv, limit=60.0)
-            if result.code:
+            result = None
+            try:
+                result = self._link.session.run(argv, limit=_LONGEST_HOOK)
+            except TimedOut:
+                self._note(f"{service}: `{hook.command[0]}` has not ended after {_LONGEST_HOOK:.0f} s")
+            del self._due[service, hook]  # if the connection was lost, it stays due
+            if result and result.code:
                 text = (result.errors or result.output).strip()[-1000:]
                 self._note(f"{service}: `{hook.command[0]}` ended with code {result.code}: {text}")
 

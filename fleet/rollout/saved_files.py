@@ -42,6 +42,9 @@ QUIET, AT_MOST = 0.1, 1.0
 _STEP = 20
 """Milliseconds that watchfiles gathers events, twice; its own limit does not hold for one file that changes all the time."""
 
+_LOOK_AGAIN = 2000
+"""Milliseconds without an event after which the files are looked at all the same: an event before the watch began is lost."""
+
 _POLL = 1.0
 """Seconds between two looks if the system cannot tell of changes."""
 
@@ -103,9 +106,11 @@ class SavedFiles:
             if known and known[0] == stamp:
                 return known[1]
             entry = self._read(path, status)
-        except OSError as problem:
+        except (OSError, RuntimeError) as problem:  # Python before 3.13 raises the latter for a loop of links
             if not isinstance(problem, FileNotFoundError):
-                self._once(f"{path} cannot be read and is not synced: {problem.strerror}")
+                self._once(
+                    f"{path} cannot be read and is not synced: {getattr(problem, 'strerror', problem)}"
+                )
             return None
         if entry and time.time() - status.st_mtime > _FRESH:
             self._known[path] = (stamp, entry)
@@ -156,20 +161,18 @@ class SavedFiles:
             if paths:
                 target = partial(_watch, paths, recursive=recursive, stop=stop, events=events)
                 threading.Thread(target=target, daemon=True).start()
-        yield None  # what has changed before the watch began
-        while not stop.is_set():
+        problem: Exception | None = None
+        while not stop.is_set() and problem is None:
             try:
-                event = events.get(timeout=0.5)
+                problem = events.get(timeout=0.5) or _until_quiet(events)
             except queue.Empty:
                 continue
-            if event is not None:
-                self._note(
-                    f"this computer cannot tell of changes ({event}): the files are read every second instead"
-                )
-                yield from _poll(stop)
-                return
-            _until_quiet(events)
             yield None
+        if problem is not None:
+            self._note(
+                f"this computer cannot tell of changes ({problem}): the files are read every second instead"
+            )
+            yield from _poll(stop)
 
 
 def _watch(
@@ -180,16 +183,25 @@ def _watch(
     events: queue.SimpleQueue[Exception | None],
 ) -> None:
     try:
-        for _ in watch(
-            *paths,
-            watch_filter=None,
-            step=_STEP,
-            stop_event=stop,
-            recursive=recursive,
-            raise_interrupt=False,
-            ignore_permission_denied=True,
-        ):
-            events.put(None)
+        while not stop.is_set():
+            inodes = _inodes(paths)
+            events.put(None)  # what has changed before the watch began
+            for _ in watch(
+                *paths,
+                watch_filter=None,
+                step=_STEP,
+                stop_event=stop,
+                recursive=recursive,
+                raise_interrupt=False,
+                ignore_permission_denied=True,
+                yield_on_timeout=True,
+                rust_timeout=_LOOK_AGAIN,
+            ):
+                events.put(None)
+                if _inodes(paths) != inodes:
+                    break  # a folder was removed and made again, as by `git checkout`: the new one is watched
+            while None in _inodes(paths) and not stop.wait(_POLL):
+                pass
     except (
         OSError,
         RuntimeError,
@@ -197,12 +209,19 @@ def _watch(
         events.put(problem)
 
 
-def _until_quiet(events: queue.SimpleQueue[Exception | None]) -> None:
+def _inodes(paths: Sequence[str]) -> list[int | None]:
+    """Which folders these are; None for one that is not there."""
+    return [Path(path).stat().st_ino if Path(path).exists() else None for path in paths]
+
+
+def _until_quiet(events: queue.SimpleQueue[Exception | None]) -> Exception | None:
+    """Wait until no more events come; the problem, if that ended the events."""
     end = time.monotonic() + AT_MOST
     with contextlib.suppress(queue.Empty):
         while time.monotonic() < end:
-            if events.get(timeout=QUIET):
-                return
+            if problem := events.get(timeout=QUIET):
+                return problem
+    return None
 
 
 def _poll(stop: threading.Event) -> Iterator[None]:

@@ -14,6 +14,7 @@ import pytest
 
 from fleet.images import push
 from fleet.images.push import Push, Registry
+from tests.support.sshd import free_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -54,6 +55,12 @@ class Client:
         assert (code, answer.headers["Range"]) == (202, f"0-{len(data) - 1}")
         wanted = (named or digest(data)).replace(":", "%3A")
         return self.ask("PUT", f"{answer.headers['Location']}?digest={wanted}")[0]
+
+
+@pytest.fixture(autouse=True)
+def own_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of this test's own: others, and a real `fab ship`, use the usual ones."""
+    monkeypatch.setattr(push, "PORTS", tuple(free_port() for _ in push.PORTS))
 
 
 @pytest.fixture
@@ -148,12 +155,11 @@ def test_what_is_no_manifest_of_an_image_names_none(odd: bytes) -> None:
 
 def test_several_runs_have_a_registry_each_until_the_ports_are_used_up(tmp_path: Path) -> None:
     """Then there is `docker save`."""
-    taken: list[str] = []
-    with contextlib.ExitStack() as stack, pytest.raises(OSError, match="in use"):  # noqa: PT012  some may be taken
-        while len(taken) <= len(push.PORTS):
-            one = stack.enter_context(Registry(lacks=(), folder=tmp_path, most=0))
-            taken.append(one.repository)
-    assert 0 < len(set(taken)) == len(taken) <= len(push.PORTS)
+    with contextlib.ExitStack() as stack:
+        every = [stack.enter_context(Registry(lacks=(), folder=tmp_path, most=0)) for _ in push.PORTS]
+        assert len({one.repository for one in every}) == len(push.PORTS)
+        with pytest.raises(OSError, match="in use"), Registry(lacks=(), folder=tmp_path, most=0):
+            pass
 
 
 def engine(*events: Mapping[str, Any], then: threading.Event | None = None) -> Any:  # noqa: ANN401  as the SDK's

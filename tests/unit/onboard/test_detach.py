@@ -184,6 +184,22 @@ def test_old_runs_are_removed(robot: Attendants) -> None:
     assert sorted(path.name for path in robot.runs.iterdir()) == ["run.1", "young"]
 
 
+@pytest.mark.parametrize("note", ["journal", "dev/back"])
+def test_what_is_still_to_be_done_is_not_old(robot: Attendants, note: str) -> None:
+    """A swap that is to be finished, and the end of dev at the next boot, however long the robot has been on."""
+    run = robot.runs / "waiting"
+    run.mkdir(parents=True)
+    os.utime(run, (1, 1))
+    path = robot.home / ".fleet/stacks/nav" / note
+    path.parent.mkdir(parents=True)
+    path.write_text("waiting\n")
+    robot.run("true")
+    assert run.exists()
+    path.unlink()
+    robot.run("true", run_name="run.2")
+    assert not run.exists()
+
+
 def test_a_full_disk_is_told_at_once_and_nothing_is_started(robot: Attendants) -> None:
     """A script of which a half was written would not end, and nobody would know why."""
     if (robot.home.parent / "bin/sh").resolve().name == "busybox":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -121,6 +122,29 @@ def test_what_a_person_has_stopped_stays_stopped_over_a_reboot(robot: DevStack, 
     running = ("docker", "inspect", "--format", "{{.State.Running}}", *robot.ids)
     assert subprocess.run(running, capture_output=True, text=True, check=True).stdout == "false\n"
     assert (robot.dev / "state").exists()
+    assert robot.swap("start").returncode == 0
+    boot(robot)
+    assert eventually(lambda: not robot.dev.exists())
+    assert told(robot)[-1] == ("boot", "done")
+
+
+def test_a_power_cut_while_dev_is_ended_at_boot(robot: DevStack, hold: Holding) -> None:
+    """The note of dev is gone already, and the containers are not proved yet: the journal says that it goes on."""
+    hold.end()
+    run = (robot.dev / "back").read_text().strip()
+    shutil.rmtree(robot.dev)
+    (robot.folder / "journal").write_text(f"swap boot one one 2026-11-28T12:00:00Z tim@desktop\n{run}\n")
+    boot(robot)
+    assert not (robot.folder / "journal").exists()
+    assert told(robot)[-1] == ("boot", "done")
+
+
+def test_a_swap_that_is_not_finished_comes_first(robot: DevStack) -> None:
+    """The containers may be half of one release and half of another."""
+    (robot.folder / "journal").write_text("swap ship one - 2026-11-28T12:00:00Z tim@desktop\nrun\n")
+    holding = Holding(robot, argv(robot))
+    holding.await_text("a start of a release was interrupted here: `fab ship` finishes it")
+    holding.end()
 
 
 def test_a_desktop_that_is_back_before_the_boot_has_ended_goes_on(robot: DevStack, hold: Holding) -> None:

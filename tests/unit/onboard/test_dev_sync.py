@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,7 +16,6 @@ from tests.support.dev_stack import DevStack
 from tests.support.small_image import make_image
 
 if TYPE_CHECKING:
-    import subprocess
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
@@ -121,6 +121,28 @@ def test_a_file_that_is_gone_is_removed(desk: Desk) -> None:
     assert desk.robot.read("/app/a") is None
     assert desk.robot.read("/app/b") == "2"
     assert desk.has == {"/app/a": GONE, "/app/b": digest("2"), "/app/never": GONE}
+
+
+def test_a_removal_does_not_keep_a_repair_from_a_container_that_has_ended(desk: Desk) -> None:
+    """Nothing can be removed from it before it runs again, and what comes with the removal may be what it lacks."""
+    assert desk.sync({"/app/old": "1", "/app/node": "exit 7\n"}).returncode == 0
+    subprocess.run(("docker", "stop", *desk.robot.ids), check=True, capture_output=True)
+    done = desk.sync({"/app/old": None, "/app/node": "echo repaired\n"}, restart=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert desk.robot.read("/app/old") is None
+    assert desk.has == {"/app/old": GONE, "/app/node": digest("echo repaired\n")}
+
+
+def test_what_has_not_been_restarted_is_not_remembered(desk: Desk) -> None:
+    """The desktop brings it again: else the old program would run, and the robot would count as in step."""
+    docker = desk.robot.home.parent / "bin/docker"
+    real = docker.read_text()
+    docker.write_text(
+        real.replace("#!/bin/sh\n", '#!/bin/sh\n[ "$1" != restart ] || { echo no >&2; exit 1; }\n', 1)
+    )
+    done = desk.sync({"/app/node": "echo new\n"}, restart=True)
+    assert (done.returncode, done.stderr) == (1, "the restart failed: no\n")
+    assert desk.has == {}
 
 
 def test_an_image_without_rm_and_tar(bare: Desk) -> None:
