@@ -55,20 +55,18 @@ def execute(
     with screen.progress() as progress:
         progress.announce([robot.name for robot in robots], OBSERVE)
 
-        def attempt(link: Link, make: Planner) -> Outcome:
-            progress.step_started(link.robot.name, OBSERVE, None)
-            facts = observe_one(link, images=images, progress=progress, retry_for=retry_for)
-            if open_feed:
-                progress.step_started(link.robot.name, PREPARE, None)
-            made = plans[link.robot.name] = make(link.robot, facts)
+        def carry_out(link: Link, made: Sequence[Plan]) -> Outcome:
+            plans[link.robot.name] = made
             if dry:
                 return Outcome(robot=link.robot.name, status="unchanged")
-            carry_out = partial(apply, open_feed=open_feed or refuse, progress=progress, retry_for=retry_for)
-            return _apply_all(made, carry_out, link)
+            feeds = open_feed or refuse
+            return _apply_all(link, made, open_feed=feeds, progress=progress, retry_for=retry_for)
 
-        outcomes = each(
-            robots, partial(_climb, ladder=ladder, attempt=attempt, progress=progress), progress=progress
+        facts = partial(observe_one, images=images, progress=progress, retry_for=retry_for)
+        climb = partial(
+            _climb, ladder, facts=facts, sends=bool(open_feed), carry_out=carry_out, progress=progress
         )
+        outcomes = each(robots, climb, progress=progress)
     if not dry:
         return screen.result(outcomes, json=json)
     in_order = [plan for robot in robots for plan in plans.get(robot.name, ())]
@@ -83,21 +81,18 @@ def bring(
     retry_for: float = RETRY_FOR,
 ) -> Outcome:
     """Observe one robot with its images, plan for it, and apply the plan; for ``ladder`` see `execute`."""
-    carry_out = partial(apply, open_feed=open_feed, progress=progress, retry_for=retry_for)
-
-    def attempt(link: Link, make: Planner) -> Outcome:
-        progress.step_started(link.robot.name, OBSERVE, None)
-        facts = observe_one(link, images=True, progress=progress, retry_for=retry_for)
-        return _apply_all(make(link.robot, facts), carry_out, link)
-
-    return _climb(link, ladder=ladder, attempt=attempt, progress=progress)
+    carry_out = partial(_apply_all, open_feed=open_feed, progress=progress, retry_for=retry_for)
+    facts = partial(observe_one, images=True, progress=progress, retry_for=retry_for)
+    return _climb(ladder, link, facts=facts, sends=True, carry_out=carry_out, progress=progress)
 
 
-def _apply_all(plans: Sequence[Plan], carry_out: Callable[[Plan, Link], Outcome], link: Link) -> Outcome:
+def _apply_all(
+    link: Link, plans: Sequence[Plan], *, open_feed: Opener, progress: Progress, retry_for: float
+) -> Outcome:
     """Apply the plans of a robot's stacks, one after the other."""
     outcomes: list[tuple[str, Outcome]] = []
     for plan in plans:
-        outcome = carry_out(plan, link)
+        outcome = apply(plan, link, open_feed=open_feed, progress=progress, retry_for=retry_for)
         outcomes.append((plan.stack, outcome))
         if outcome.unusable:
             break  # the next planner begins with what is left
@@ -105,19 +100,27 @@ def _apply_all(plans: Sequence[Plan], carry_out: Callable[[Plan, Link], Outcome]
 
 
 def _climb(
-    link: Link, *, ladder: Sequence[Planner], attempt: Callable[[Link, Planner], Outcome], progress: Progress
+    ladder: Sequence[Planner],
+    link: Link,
+    *,
+    facts: Callable[[Link], Facts],
+    sends: bool,
+    carry_out: Callable[[Link, Sequence[Plan]], Outcome],
+    progress: Progress,
 ) -> Outcome:
-    """Apply the first planner's plan, and the next one's if the robot could not use what was sent."""
-    first, *others = ladder
-    outcome = attempt(link, first)
-    sent, why = outcome.sent, ""
-    for make in others:
-        if not outcome.unusable:
+    """Carry out the first planner's plan, and the next one's if the robot could not use what was sent."""
+    sent, why = 0, ""
+    for number, make in enumerate(ladder, start=1):
+        progress.step_started(link.robot.name, OBSERVE, None)
+        there = facts(link)
+        if sends:
+            progress.step_started(link.robot.name, PREPARE, None)
+        outcome = carry_out(link, make(link.robot, there))
+        sent += outcome.sent
+        if not outcome.unusable or number == len(ladder):
             break
         why = outcome.reason.partition("\n")[0]
         progress.note(link.robot.name, f"{why}; trying another way")
-        outcome = attempt(link, make)
-        sent += outcome.sent
     because = f"{outcome.transfer}, because {why}" if why else outcome.transfer
     return replace(outcome, sent=sent, transfer=because)
 
