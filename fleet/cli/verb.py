@@ -10,8 +10,10 @@ Fabric 3.2 does that before it reads ``fabric.yaml`` or the fabfile. ``fleet --h
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import os
+import re
 import sys
 from dataclasses import dataclass
 from functools import wraps
@@ -21,7 +23,7 @@ from fabric import Config, Connection, task
 from fabric.executor import Executor as FabricExecutor
 from fabric.main import Fab
 from invoke.collection import Collection
-from invoke.exceptions import Exit
+from invoke.exceptions import Exit, ParseError
 
 from fleet import __version__, terminal
 from fleet.cli import program
@@ -29,7 +31,7 @@ from fleet.errors import FleetError
 from fleet.rollout import open_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Mapping
+    from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
 HELP = {
     "hosts": "robots, groups and wildcards, separated by commas; default: all",
@@ -208,6 +210,37 @@ class _Program(Fab):  # type: ignore[misc]  # Fabric has no annotations
     def print_help(self) -> None:
         """See ``invoke.Program.print_help``."""
         sys.stdout.write(self._overview())
+
+    def parse_tasks(self) -> None:
+        """See ``invoke.Program.parse_tasks``, which words what it cannot read for the authors of tasks."""
+        try:
+            super().parse_tasks()
+        except ParseError as problem:
+            raise Exit(_unreadable(problem, tuple(self.collection.task_names)), code=2) from None
+
+
+def _unreadable(problem: ParseError, verbs: Sequence[str]) -> str:
+    """Tell of a word or a flag that the command line cannot have. Invoke says which by its sentences only."""
+    context, word = problem.context, re.search(r"'(.+)'", str(problem))
+    verb = context.name if context else None
+    cure = (
+        f"\n  cure: `fleet {verb} --help` shows its flags"
+        if verb
+        else "\n  cure: `fleet --list` shows the verbs"
+    )
+    if flag := re.search(r"<Argument: ([\w-]+)", str(problem)):
+        return f"--{flag[1].replace('_', '-')} needs a value{cure}"
+    if not word:
+        return f"{problem}{cure}"
+    flags = [name.replace("_", "-") for name in context.as_kwargs] if context and verb else []
+    if verb and not word[1].startswith("-"):
+        given = f"--hosts {word[1]}" if "hosts" in flags else "--FLAG VALUE"
+        text = f"{verb} takes no words without a flag, such as {word[1]}\n  cure: `fleet {verb} {given}`"
+        return terminal.plain(text)
+    near = difflib.get_close_matches(word[1], [f"--{name}" for name in flags] or verbs, n=1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    what = f"{verb} has no flag {word[1]}" if verb else f"there is no verb {word[1]}"
+    return f"{terminal.plain(what)}{hint}{cure}"
 
 
 def main(verbs: Collection, *, overview: Callable[[], str], words: Mapping[str, str] | None = None) -> None:

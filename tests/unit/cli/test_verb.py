@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.cli import verb
+from fleet.cli import main, verb
 from fleet.errors import DesktopError, UsageError
 from tests.support import project
 from tests.support.project import FAB, ROOT, Project
@@ -290,6 +290,46 @@ def test_fleet_is_a_program_of_its_own(mine: Project, tmp_path: Path) -> None:
     assert (refused.returncode, refused.stdout) == (2, "")
     version = fleet("--version").stdout
     assert version.lower().startswith("fleet ")
+
+
+@pytest.mark.parametrize(
+    ("typed", "what", "cure"),
+    [
+        (("ship", "--hots", "pi1"), "ship has no flag --hots; did you mean --hosts?", "`fleet ship --help`"),
+        (("ship", "--via"), "ship has no flag --via", "`fleet ship --help`"),
+        (("ship", "--hosts"), "--hosts needs a value", "`fleet ship --help`"),
+        (("ship", "--retry-for"), "--retry-for needs a value", "`fleet ship --help`"),
+        (
+            ("status", "pi1"),
+            "status takes no words without a flag, such as pi1",
+            "`fleet status --hosts pi1`",
+        ),
+        (
+            ("completion", "--install=3"),
+            "completion takes no words without a flag, such as 3",
+            "`fleet completion",
+        ),
+        (("shp",), "there is no verb shp; did you mean ship?", "`fleet --list`"),
+        (("-x", "ship"), "there is no verb -x", "`fleet --list`"),
+        (("ship\x1b[2J",), "there is no verb ship", "`fleet --list`"),
+    ],
+)
+def test_a_line_that_cannot_be_read(
+    typed: tuple[str, ...],
+    what: str,
+    cure: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One sentence with the word that is wrong, and where to look; the exit code of a wrong command line."""
+    monkeypatch.setattr("sys.argv", ["fleet", *typed])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(what)
+    assert "\x1b" not in first
+    assert second.startswith(f"  cure: {cure}")
 
 
 def test_the_projects_own_fabfile_and_settings_name_our_executor() -> None:
