@@ -76,7 +76,7 @@ def test_a_link_cut_in_mid_command(project: Project, pi: Pi) -> None:
     """Noticed within 30 s; the robot goes on by itself, goes back, and the next ship is what it should be."""
     before = shipped(project)[0][0]
     project.stack(tick=STARTING)
-    with project.start("ship", "--hosts", "pi1", "--retry-for", "0", "--wait", "60") as fab:
+    with project.start("ship", "--hosts", "pi1", "--retry-for", "0", "--wait", "40") as fab:
         assert eventually(lambda: processes(pi, "swap ship tiny"))
         with cut(pi):
             since = time.monotonic()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from tests.lab.conftest import Pi
 
-TIMES = int(os.environ.get("FLEET_FAULTS", "2"))
+TIMES = int(os.environ.get("FLEET_FAULTS", "1"))
 SEED = int(os.environ.get("FLEET_SEED", "28"))
 
 

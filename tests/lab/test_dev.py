@@ -104,7 +104,7 @@ def bare(project: Project) -> float:
 def test_a_saved_edit_is_heard_from_every_robot(
     talking: Project, dev: Running, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Within 3 s, or within a second more than a bare restart takes while this computer is busy."""
+    """Within 3 s, or half as much again as a bare restart takes, and a second, while this computer is busy."""
     took, least = [], []
     for number in range(TIMES):
         word = f"edit{number}"
@@ -118,7 +118,7 @@ def test_a_saved_edit_is_heard_from_every_robot(
             f" {statistics.median(took):.1f} s, longest {max(took):.1f} s"
             f" (a bare `docker restart`: median {statistics.median(least):.1f} s, longest {max(least):.1f} s)"
         )
-    assert statistics.median(took) <= max(3.0, statistics.median(least) + 1.0)
+    assert statistics.median(took) <= max(3.0, 1.5 * statistics.median(least) + 1.0)
     dev.ctrl_c()
     assert dev.end().code == 0
 
