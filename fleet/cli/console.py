@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 _MARKS = {
     "done": "green",
     "unchanged": "dim",
+    "planned": "cyan",
     "failed": "bold red",
     "unreachable": "bold yellow",
     "skipped": "yellow",

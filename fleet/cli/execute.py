@@ -58,7 +58,8 @@ def execute(
         def carry_out(link: Link, made: Sequence[Plan]) -> Outcome:
             plans[link.robot.name] = made
             if dry:
-                return Outcome(robot=link.robot.name, status="unchanged")
+                steps = any(plan.steps for plan in made)
+                return Outcome(robot=link.robot.name, status="planned" if steps else "unchanged")
             feeds = open_feed or refuse
             return _apply_all(link, made, open_feed=feeds, progress=progress, retry_for=retry_for)
 

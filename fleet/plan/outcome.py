@@ -12,12 +12,14 @@ if TYPE_CHECKING:
 
     from fleet.errors import FleetError
 
-Status = Literal["done", "unchanged", "failed", "unreachable", "skipped"]
+Status = Literal["done", "unchanged", "planned", "failed", "unreachable", "skipped"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """The result for one robot. ``step``, ``reason`` and ``cure`` are empty unless it failed.
+
+    ``planned``: with ``--dry``, there is something to do, and it was not done.
 
     ``transfer`` is how the images were sent, with the reason if an earlier attempt had failed. ``unusable``: the bytes
     arrived, and the robot's Docker cannot use them; another kind of transfer may help. ``refused``: what was asked does
@@ -38,8 +40,8 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether the robot is in the state that was asked for."""
-        return self.status in ("done", "unchanged")
+        """Whether the robot is in the state that was asked for, or nothing was asked for but a plan."""
+        return self.status in ("done", "unchanged", "planned")
 
 
 def failure(robot: str, problem: FleetError) -> Outcome:

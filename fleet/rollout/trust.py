@@ -66,7 +66,7 @@ def outcome(offer: Offer, *, recorded: bool, dry: bool) -> Outcome:
     """Return the outcome of one offer, or with ``dry`` what would be done."""
     summary = f"{offer.key.kind} {offer.key.fingerprint}"
     if recorded and dry:
-        return Outcome(robot=offer.robot.name, status="unchanged", summary=f"would record {summary}")
+        return Outcome(robot=offer.robot.name, status="planned", summary=f"would record {summary}")
     if recorded:
         return Outcome(robot=offer.robot.name, status="done", summary=f"recorded {summary}")
     if offer.verdict == "known":

@@ -15,7 +15,7 @@ def test_trust_records_what_a_person_says_yes_to(own: Project) -> None:
     assert (refused.code, (own.folder / "known_hosts").exists()) == (1, False)
     assert "was not recorded: ssh-ed25519 SHA256:" in refused.out
     assert own.fleet("trust", "--hosts", "pi1", "--dry").out.startswith(
-        "pi1  unchanged    would record ssh-ed25519"
+        "pi1  planned      would record ssh-ed25519"
     )
     assert own.fleet("run", "--hosts", "pi1", "--", "true").code == 1
     recorded = own.fleet("trust", "--hosts", "pi1", "--yes")

@@ -103,7 +103,7 @@ def test_what_became_of_an_offer(server: Sshd, other_key: Path) -> None:
         robot="pi1", status="done", summary=f"recorded {key}"
     )
     assert trust.outcome(unknown, recorded=True, dry=True) == Outcome(
-        robot="pi1", status="unchanged", summary=f"would record {key}"
+        robot="pi1", status="planned", summary=f"would record {key}"
     )
     refused = trust.outcome(unknown, recorded=False, dry=False)
     assert refused.reason == f"its host key is unknown and was not recorded: {key}"
