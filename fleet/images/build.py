@@ -35,7 +35,8 @@ _DEBIAN = re.compile(r"\$\{?FLEET_(BUILD_)?DEBIAN_([A-Z]+)\b")
 class Command:
     """One command on this computer, what it makes (``reference`` for ``platform``), and the bases it needs first.
 
-    ``feed`` is its standard input: a Dockerfile that is written in the Compose file.
+    ``feed`` is its standard input: a Dockerfile that is written in the Compose file. ``pulls`` is the image that it asks
+    a registry for. If no registry answers, the one that is here will do; with ``only_missing``, none is asked then.
     """
 
     title: str
@@ -44,6 +45,8 @@ class Command:
     platform: str
     bases: tuple[Base, ...] = ()
     feed: str = ""
+    pulls: str = ""
+    only_missing: bool = False
 
 
 def bases(project: Project, platform: str) -> dict[str, Base]:
@@ -88,7 +91,8 @@ def plan(
                 _Build(service, stack, project, client).command(wanted, tuple(needs), flags=tuple(flags))
             )
         elif service.image not in built:
-            commands += _pull(service.image, wanted)
+            model = stack.model["services"][service.name]
+            commands += pull(service.image, wanted, policy=str(model.get("pull_policy") or ""))
     different = {json.dumps([one.argv, one.feed]): one for one in commands}
     return tuple(different.values())
 
@@ -239,11 +243,21 @@ def _is_file(path: str) -> bool:
         return False
 
 
-def _pull(image: str, platform: str) -> list[Command]:
+def pull(image: str, platform: str, *, policy: str) -> list[Command]:
+    """What brings an image here; ``policy`` is Compose's ``pull_policy``, of which "" here means to look for a newer one."""
     reference = tagged_for(image, platform)
-    pull = ("docker", "pull", "--platform", platform, image)
-    tag = ("docker", "tag", image, reference)
-    return [
-        Command(title=f"pull {image} for {platform}", argv=pull, reference=reference, platform=platform),
-        Command(title=f"name it {reference}", argv=tag, reference=reference, platform=platform),
-    ]
+    pull = Command(
+        title=f"pull {image} for {platform}",
+        argv=("docker", "pull", "--platform", platform, image),
+        reference=reference,
+        platform=platform,
+        pulls=image,
+        only_missing=policy in ("missing", "if_not_present", "build"),
+    )
+    tag = Command(
+        title=f"name it {reference}",
+        argv=("docker", "tag", image, reference),
+        reference=reference,
+        platform=platform,
+    )
+    return [tag] if policy == "never" else [pull, tag]

@@ -17,6 +17,8 @@ from typing import IO, TYPE_CHECKING, Protocol
 from fleet.errors import DesktopError
 from fleet.images import debian_base
 from fleet.images.build_log import BuildLog
+from fleet.images.docker_cli import docker_or_none
+from fleet.images.image import platform
 from fleet.units import human_seconds
 
 if TYPE_CHECKING:
@@ -81,15 +83,34 @@ def run_all(
             if failed.is_set():
                 return
             try:
-                built = run(command, on_step=partial(watcher.step, command.reference), folder=folder)
+                there = _run_or_use(command, watcher=watcher, folder=folder)
             except BaseException:
                 failed.set()
                 raise
-            watcher.built(command.reference, built)
+            if there == command.reference:
+                return  # it has its name already
 
     with ThreadPoolExecutor(at_once(len(images), memory=memory)) as pool:
         for work in [pool.submit(make, image) for image in images.values()]:
             work.result()
+
+
+def _run_or_use(command: Command, *, watcher: Watcher, folder: Path | None) -> str:
+    """Run a command. If it was to pull an image, and one that is here does instead, return that one's name."""
+    there = _here(command) if command.only_missing else None
+    if there:
+        return there.name
+    try:
+        built = run(command, on_step=partial(watcher.step, command.reference), folder=folder)
+    except DesktopError as problem:
+        there = _here(command)
+        if not there:
+            raise
+        why = " ".join(problem.what.split())
+        watcher.note(command.reference, f"{why}; the image of {there.created} that is here is used")
+        return there.name
+    watcher.built(command.reference, built)
+    return ""
 
 
 def at_once(images: int, *, memory: int) -> int:
@@ -173,3 +194,22 @@ def _failure(command: Command, said: BuildLog, *, code: int, log: Path) -> Deskt
     shown = "".join(f"\n  | {line}" for line in lines)
     whole = f"the whole output is in {log}"
     return DesktopError(f"{command.title} failed{where}{shown}", cure=f"{cure}; {whole}" if cure else whole)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Here:
+    """An image that Docker has: one of its names, and the day on which it was made."""
+
+    name: str
+    created: str
+
+
+def _here(command: Command) -> _Here | None:
+    """The image that a pull asks for, if one for its platform is here: by its own name, or by the one of an earlier pull."""
+    form = "{{.Os}} {{.Architecture}} {{.Variant}} {{.Created}}"
+    for name in (command.pulls, command.reference):
+        answer = docker_or_none("image", "inspect", "--format", form, name) if command.pulls else None
+        os_, architecture, variant, created = (answer or "   ").split(" ")
+        if answer and platform(os=os_, architecture=architecture, variant=variant) == command.platform:
+            return _Here(name=name, created=created[:10])
+    return None

@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
 
 from fleet.errors import DesktopError
-from fleet.images import builder
+from fleet.images import build, builder
 from fleet.images.build import Command
+from fleet.images.emulation import desktop_platform
+from fleet.images.image import tagged_for
+from tests.support.small_image import make_image
+from tests.support.sshd import free_port
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 GOOD = 'echo "#1 [1/2] FROM x"; echo "#1 CACHED"; echo "#2 [2/2] RUN make"; echo "#2 0.1 made" >&2; echo "#2 DONE 1s"'
@@ -78,11 +84,13 @@ class Heard:
     """A watcher that keeps what it hears."""
 
     def __init__(self) -> None:
+        self.notes: list[str] = []
         self.steps: list[str] = []
         self.ended: list[str] = []
 
     def note(self, name: str, text: str) -> None:
         """See `builder.Watcher`."""
+        self.notes.append(f"{name}: {text}")
 
     def step(self, name: str, title: str) -> None:
         """See `builder.Watcher`."""
@@ -134,3 +142,59 @@ def test_how_many_builds_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "meminfo").write_text("MemTotal:       8000 kB\nMemAvailable:   4000 kB\n")
     assert builder.free_memory(tmp_path / "meminfo") == 4096000
     assert builder.free_memory(tmp_path / "none") == 0
+
+
+@pytest.fixture
+def local(desktop: None) -> Iterator[str]:  # noqa: ARG001
+    """An image that no registry has: nothing answers at its address."""
+    for made in make_image(()):
+        name = f"127.0.0.1:{free_port()}/{made}"
+        subprocess.run(("docker", "tag", made, name), check=True)
+        yield name
+        subprocess.run(
+            ("docker", "image", "rm", name, tagged_for(name, desktop_platform())),
+            capture_output=True,
+            check=False,
+        )
+
+
+def pulled(name: str, folder: Path, *, policy: str = "") -> Heard:
+    """Run what brings an image of a service without ``build:`` here."""
+    heard = Heard()
+    commands = build.pull(name, desktop_platform(), policy=policy)
+    builder.run_all(commands, watcher=heard, memory=0, folder=folder)
+    return heard
+
+
+def test_an_image_that_is_here_will_do_where_no_registry_answers(local: str, tmp_path: Path) -> None:
+    """That is said, with its day; the next time, its own name for the platform is enough."""
+    reference = tagged_for(local, desktop_platform())
+    (note,) = pulled(local, tmp_path).notes
+    assert note.startswith(f"{reference}: pull {local} for {desktop_platform()} failed")
+    assert "connection refused" in note
+    assert "that is here is used" in note
+    subprocess.run(("docker", "image", "rm", local), check=True, capture_output=True)
+    again = pulled(local, tmp_path)
+    assert (len(again.notes), again.ended) == (1, [])
+
+
+@pytest.mark.parametrize("policy", ["missing", "if_not_present", "never"])
+def test_no_registry_is_asked_if_the_person_says_so(local: str, tmp_path: Path, policy: str) -> None:
+    """Compose's ``pull_policy``."""
+    heard = pulled(local, tmp_path, policy=policy)
+    assert (heard.notes, heard.ended) == ([], [f"{tagged_for(local, desktop_platform())} name"])
+
+
+@pytest.mark.usefixtures("desktop")
+@pytest.mark.parametrize("policy", ["", "missing", "never"])
+def test_an_image_that_is_nowhere(tmp_path: Path, policy: str) -> None:
+    """Then a pull that fails is a failure."""
+    with pytest.raises(DesktopError, match="failed"):
+        pulled(f"127.0.0.1:{free_port()}/nowhere:1", tmp_path, policy=policy)
+
+
+def test_an_image_for_another_platform_will_not_do(local: str, tmp_path: Path) -> None:
+    """It would be sent to robots that cannot run it."""
+    commands = build.pull(local, "linux/riscv64", policy="")
+    with pytest.raises(DesktopError, match="failed"):
+        builder.run_all(commands, watcher=Heard(), memory=0, folder=tmp_path)
