@@ -84,14 +84,38 @@ def test_other_content_is_another_instance() -> None:
     assert yaml.safe_load(other)["instance-id"].startswith("fleet-pi7-")
 
 
+REST = "console=serial0,115200 snd_bcm2835.enable_hdmi=1 root=PARTUUID=6b6bd2ba-02 rootwait"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("ds=nocloud;i=rpi-imager-1781294579815", "ds=nocloud;i={}"),
+        ("ds=nocloud;s=/boot/firmware/;i=rpi-imager-1 quiet", "ds=nocloud;s=/boot/firmware/;i={} quiet"),
+        ("ds=nocloud;instance-id=a;h=b", "ds=nocloud;instance-id={};h=b"),
+    ],
+)
+def test_the_kernels_parameter_names_our_instance(before: str, after: str) -> None:
+    """It goes before meta-data: with the old one, a system that has booted would not read our files. All else stays."""
+    files = cloud_init.files(FIRST, raspberry_pi_os=True, cmdline=f"{REST} {before}\n")
+    instance = yaml.safe_load(files["meta-data"])["instance-id"]
+    assert files["cmdline.txt"] == f"{REST} {after.format(instance)}\n"
+    again = cloud_init.files(FIRST, raspberry_pi_os=True, cmdline=files["cmdline.txt"])
+    assert again == files
+
+
+@pytest.mark.parametrize("cmdline", ["", REST, f"{REST} ds=nocloud", f"{REST} xds=nocloud;i=a"])
+def test_without_that_parameter_the_kernels_line_stays(cmdline: str) -> None:
+    """Then meta-data counts."""
+    assert "cmdline.txt" not in cloud_init.files(FIRST, raspberry_pi_os=True, cmdline=cmdline)
+
+
 def test_what_a_card_has_already_is_read_back() -> None:
-    """The host key, and whom it is for: so a second run changes nothing."""
+    """The host key: so a second run changes nothing."""
     text = cloud_init.files(FIRST, raspberry_pi_os=True)["user-data"]
-    assert cloud_init.prepared_for(text) == "pi7"
     assert cloud_init.host_key(text, path=HERE) == FIRST.host_key
 
 
 @pytest.mark.parametrize("text", ["", "#cloud-config\n", "#cloud-config\nssh_keys: none\n", "a: [", "- 1\n"])
-def test_a_card_of_somebody_else_has_neither(text: str) -> None:
-    assert cloud_init.prepared_for(text) == ""
+def test_a_card_of_somebody_else_has_none(text: str) -> None:
     assert cloud_init.host_key(text, path=HERE) is None

@@ -48,7 +48,7 @@ def test_a_card_is_prepared_once(project: Project) -> None:
     done = project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
     assert done.code == 0, done.err
     assert (
-        "Raspberry Pi OS of 2025-11-24, with cloud-init: wrote user-data, network-config, meta-data"
+        "Raspberry Pi OS of 2025-11-24, with cloud-init: wrote user-data, network-config, meta-data, cmdline.txt"
         in done.out
     )
     written = files(boot)
@@ -128,6 +128,43 @@ def test_the_card_of_another_robot(project: Project) -> None:
     assert done.code == 0
     assert yaml.safe_load(files(boot)["user-data"])["hostname"] == "pi8"
     assert files(boot)["user-data.before-fleet"] == TRIXIE["user-data"]
+
+
+def test_a_card_that_its_robot_has_booted_from(project: Project) -> None:
+    """Its host key is only on the robot now: to record another one would make the robot a stranger."""
+    boot = boot_partition(project.folder / "bootfs", TRIXIE)
+    words = ("card", "--hosts", "pi7", "--boot", "bootfs")
+    project.fleet(*words)
+    first = files(boot)
+    (boot / "user-data").write_text(first["user-data"][: first["user-data"].index("ssh_keys:")])
+    booted, recorded = files(boot), (project.folder / "known_hosts").read_text()
+    refused = project.fleet(*words)
+    assert refused.code == 2
+    assert "pi7 has booted from the card at bootfs already" in refused.out
+    assert (files(boot), (project.folder / "known_hosts").read_text()) == (booted, recorded)
+
+    assert project.fleet(*words, "--overwrite").code == 0
+    anew = files(boot)
+    instance = yaml.safe_load(anew["meta-data"])["instance-id"]
+    assert instance not in first["meta-data"]
+    assert anew["cmdline.txt"] == TRIXIE["cmdline.txt"].replace("rpi-imager", instance)
+    assert anew["cmdline.txt.before-fleet"] == TRIXIE["cmdline.txt"]
+    assert (project.folder / "known_hosts").read_text() != recorded
+
+
+@pytest.mark.parametrize("system", [BOOKWORM, BULLSEYE], ids=["bookworm", "bullseye"])
+def test_the_card_of_another_robot_with_an_older_system(
+    project: Project, monkeypatch: pytest.MonkeyPatch, system: dict[str, str]
+) -> None:
+    boot = boot_partition(project.folder / "bootfs", system)
+    monkeypatch.setenv("LOGIN", "geheim")
+    words = ("--boot", "bootfs", "--password-from", "LOGIN")
+    assert project.fleet("card", "--hosts", "pi7", *words).code == 0
+    before = files(boot)
+    refused = project.fleet("card", "--hosts", "pi8", *words)
+    assert (refused.code, files(boot)) == (2, before)
+    assert "the card at bootfs was prepared for the robot pi7" in refused.out
+    assert project.fleet("card", "--hosts", "pi8", *words, "--overwrite").code == 0
 
 
 def test_one_card_after_the_other(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
