@@ -52,8 +52,9 @@ def card(
     """Prepare a robot's freshly written SD card.
 
     It writes what the first boot needs onto the card's boot partition: name, login with your SSH key, Wi-Fi, time zone, and
-    an SSH host key that it records, so that `fab trust` is not needed. The key `card:` of the inventory has Wi-Fi and time
-    zone. Raspberry Pi OS and Ubuntu are recognised by the card.
+    an SSH host key that it records, so that `fab trust` is not needed. Raspberry Pi OS before trixie takes no host key. The
+    key `card:` of the inventory has Wi-Fi and time zone. The card tells which system is on it. Until the first boot, a
+    second run changes nothing.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     if not boot:
