@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from fleet.card.first_boot import FirstBoot
 
 USER_DATA, NETWORK, META_DATA = "user-data", "network-config", "meta-data"
-CMDLINE = "cmdline.txt"
-
 _INSTANCE = re.compile(r"(?<!\S)(ds=nocloud(?:-net)?;(?:[^\s;]+;)*?(?:i|instance-id)=)[^\s;]*")
 """The kernel's parameter that says which instance this is. The Raspberry Pi Imager writes it, and it goes before
 ``meta-data`` (https://docs.cloud-init.io/en/latest/reference/datasources/nocloud.html)."""
@@ -48,11 +46,11 @@ _FORGET_KEY = f"sed -i '/^ssh_keys:/,$d' {_FOLDER}/{USER_DATA}"
 """The boot partition can be read by everybody on the robot. cloud-init's own copy is root's."""
 
 
-def files(first: FirstBoot, *, raspberry_pi_os: bool, cmdline: str = "") -> dict[str, str]:
+def files(first: FirstBoot, *, raspberry_pi_os: bool, cmdlines: Mapping[str, str]) -> dict[str, str]:
     """Return the files by name.
 
-    ``cmdline`` is the text of the card's cmdline.txt. If that says which instance this is, it is one of the files, and says
-    ours: otherwise a system that has booted already would not read the others.
+    ``cmdlines`` are the card's files with the kernel's parameters, by name. One that says which instance this is becomes one
+    of the files, and says ours: otherwise a system that has booted already would not read the others.
     """
     head = f"{MARK}{first.robot}\n"
     user_data = f"#cloud-config\n{head}{yamlfile.dump(_user_data(first, raspberry_pi_os=raspberry_pi_os))}"
@@ -61,8 +59,12 @@ def files(first: FirstBoot, *, raspberry_pi_os: bool, cmdline: str = "") -> dict
     digest = hashlib.sha256(f"{user_data}{network}".encode()).hexdigest()[:12]
     instance = f"fleet-{first.hostname}-{digest}"
     meta = head + yamlfile.dump({"instance-id": instance, "dsmode": "local"})
-    ours, found = _INSTANCE.subn(lambda match: match[1] + instance, cmdline)
-    return {USER_DATA: user_data, NETWORK: network, META_DATA: meta, **({CMDLINE: ours} if found else {})}
+    pinned = {
+        name: _INSTANCE.sub(lambda match: match[1] + instance, text)
+        for name, text in cmdlines.items()
+        if _INSTANCE.search(text)
+    }
+    return {USER_DATA: user_data, NETWORK: network, META_DATA: meta, **pinned}
 
 
 def host_key(user_data: str, *, path: Path) -> HostKey | None:

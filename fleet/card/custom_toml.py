@@ -40,8 +40,8 @@ def files(first: FirstBoot) -> dict[str, str]:
 
 def lost(first: FirstBoot) -> tuple[str, ...]:
     """Say what this system cannot be told."""
-    others = [one.name for one in first.networks[1:]]
-    return (f"it takes one Wi-Fi network: {', '.join(others)} must wait",) if others else ()
+    others = ", ".join(one.name for one in first.networks[1:])
+    return (f"this system takes one Wi-Fi network, so these are left out: {others}",) if others else ()
 
 
 def _lines(table: Mapping[str, object]) -> Iterator[str]:

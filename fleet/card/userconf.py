@@ -48,6 +48,6 @@ def lost(first: FirstBoot) -> tuple[str, ...]:
     """Say what this system cannot be told."""
     after = f"the name {first.hostname}" + (f" and the time zone {first.timezone}" if first.timezone else "")
     return (
-        f"it takes no SSH key: log in with the password once, as `ssh-copy-id {first.user}@ADDRESS` does",
-        f"it takes no name: set {after} with `sudo raspi-config` on the robot",
+        f"this system takes no SSH key: log in with the password once, as `ssh-copy-id {first.user}@ADDRESS` does",
+        f"this system takes no name: set {after} with `sudo raspi-config` on the robot",
     )

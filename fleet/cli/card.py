@@ -71,7 +71,8 @@ def card(
         outcomes = list(_one_after_the_other(robots, desk))
     code = screen.result(outcomes, json=json)
     if not code and not dry:
-        text = "unmount the card before you pull it out; `fab await` says when the robot has come up"
+        names = ",".join(robot.name for robot in robots)
+        text = f"unmount the card before you pull it out; `fab await --hosts {names}` says when the robot has come up"
         screen.say(program.typed(text))
     return code
 
@@ -118,7 +119,7 @@ class _Desk:
             there.check(robot.name)
         destination = openssh_config.resolve(robot)
         first = self._first_boot(robot, destination, found, there)
-        make, lost = _maker(found, cmdline=write.text(self.folder / cloud_init.CMDLINE))
+        make, lost = _maker(found, self.folder)
         files = make(first)
         if self.dry:
             states = write.planned(files, folder=self.folder)
@@ -221,14 +222,15 @@ def _host_key(there: Prepared, first: FirstBoot) -> HostKey:
 
 
 def _maker(
-    found: System, *, cmdline: str
+    found: System, folder: Path
 ) -> tuple[Callable[[FirstBoot], dict[str, str]], Callable[[FirstBoot], Sequence[str]]]:
     """What writes the files for a system, and says what it cannot be told."""
     match found.kind:
         case "cloud-init":
             raspberry = found.raspberry_pi_os
+            cmdlines = {name: write.text(folder / name) for name in system.CMDLINES}
             return lambda first: cloud_init.files(
-                first, raspberry_pi_os=raspberry, cmdline=cmdline
+                first, raspberry_pi_os=raspberry, cmdlines=cmdlines
             ), lambda _: ()
         case "custom.toml":
             return custom_toml.files, custom_toml.lost
@@ -268,8 +270,8 @@ def _exported(name: str, about: str) -> str:
 
 def _where() -> str:
     """Name a folder that looks like a boot partition."""
-    folders = (path.parent for place in _PLACES for path in Path("/").glob(f"{place[1:]}/cmdline.txt"))
-    there = [str(folder) for folder in folders if (folder / "config.txt").is_file()]
+    folders = (path.parent for place in _PLACES for path in Path("/").glob(f"{place[1:]}/config.txt"))
+    there = [str(folder) for folder in folders if any((folder / name).is_file() for name in system.CMDLINES)]
     if there:
         return f"this looks like one: --boot {there[0]}"
     return (

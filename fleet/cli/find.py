@@ -63,7 +63,7 @@ def find(scan: bool = False, json: bool = False, inventory: str = "") -> None:
     )
     seen = sorted(
         sighting.computers(sighting.sight(found, like=_anybody(robots), register=register)),
-        key=lambda one: (not one.robot, not one.candidate.likely, one.candidate.address),
+        key=lambda one: (not one.robot, not one.candidate.likely, one.candidate.order),
     )
     models = _models(seen, robots)
     if json:
@@ -139,8 +139,9 @@ def _advice(seen: Sequence[Sighting], robots: Sequence[Robot], *, scan: bool) ->
         if one.moved:
             yield f"{one.robot} is at {one.candidate.where}; the inventory says {one.expected}"
     yield from _copies(seen)
-    for name in sorted({robot.name for robot in robots} - {one.robot for one in seen}):
-        yield f"{name} was not found"
+    found = {one.robot for one in seen}
+    if missing := [robot.name for robot in robots if robot.name not in found]:
+        yield f"not found: {', '.join(missing)}"
     others = [one for one in seen if not one.robot]
     if others:
         yield "for the inventory, under `robots:` (choose your names, then `fab trust`):"

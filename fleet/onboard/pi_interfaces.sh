@@ -7,6 +7,7 @@ set -eu
 PATH=$PATH:/usr/sbin:/sbin
 config=$1/config.txt
 cmdline=$1/cmdline.txt
+[ ! -e "$1/current/cmdline.txt" ] || cmdline=$1/current/cmdline.txt # Ubuntu since 25.10
 shift
 first='# fleet: what "interfaces:" of the inventory says'
 last='# fleet: end'

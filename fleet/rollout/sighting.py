@@ -43,6 +43,12 @@ class Candidate:
         return known_hosts.host_name(self.address, self.port)
 
     @property
+    def order(self) -> tuple[int, int, int]:
+        """Its place in a list by addresses: by their numbers, IPv4 first."""
+        parsed = ipaddress.ip_address(self.address)
+        return parsed.version, int(parsed), self.port
+
+    @property
     def system(self) -> str:
         """The distribution that the SSH server's first line names, or ""."""
         return next((text for word, text in _SYSTEMS.items() if word in self.greeting), "")

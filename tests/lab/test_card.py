@@ -98,7 +98,7 @@ def docker(*argv: str) -> None:
 def test_cloud_init_knows_every_key(image: str, tmp_path: Path, raspberry_pi_os: bool) -> None:
     """By its own schema, which also knows the keys that are out of date."""
     first = replace(FIRST, announces=True)
-    for name, content in cloud_init.files(first, raspberry_pi_os=raspberry_pi_os).items():
+    for name, content in cloud_init.files(first, raspberry_pi_os=raspberry_pi_os, cmdlines={}).items():
         (tmp_path / name).write_text(content)
     schema = "cloud-init schema --schema-type"
     script = f"{schema} cloud-config --config-file user-data && {schema} network-config --config-file network-config"

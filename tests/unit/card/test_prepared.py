@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SYSTEMS = {
-    "cloud-init": cloud_init.files(FIRST, raspberry_pi_os=True),
+    "cloud-init": cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={}),
     "bookworm": custom_toml.files(FIRST),
     "bullseye": userconf.files(FIRST),
     "bullseye without Wi-Fi": userconf.files(replace(FIRST, networks=())),

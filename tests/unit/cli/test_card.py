@@ -8,7 +8,7 @@ import yaml
 
 from fleet.cli import console
 from fleet.ssh import host_keys, known_hosts
-from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, boot_partition
+from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, UBUNTU_26, boot_partition
 from tests.support.project import Project
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def test_a_card_is_prepared_once(project: Project) -> None:
     assert data["hostname"] == "pi7"
     known = known_hosts.read((project.folder / "known_hosts",))
     assert known.verdict("pi7.local", host_keys.parse(data["ssh_keys"]["ed25519_public"])) == "known"
+    assert "`fleet await --hosts pi7` says when the robot has come up" in done.err
     assert PASSPHRASE not in str(written)
     assert "PRIVATE" not in done.out + done.err
 
@@ -95,7 +96,7 @@ def test_an_older_system_takes_no_host_key(project: Project) -> None:
     boot = boot_partition(project.folder / "bootfs", BOOKWORM)
     done = project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
     assert "with custom.toml: wrote custom.toml" in done.out
-    assert "pi7: it takes one Wi-Fi network: Guests must wait" in done.err
+    assert "pi7: this system takes one Wi-Fi network, so these are left out: Guests" in done.err
     assert "this system takes no host key: run `fleet trust --hosts pi7`" in done.err
     assert set(files(boot)) - set(BOOKWORM) == {"custom.toml"}
 
@@ -112,7 +113,7 @@ def test_the_oldest_system_takes_a_password(project: Project, monkeypatch: pytes
     done = project.fleet(*words, "--password-from", "LOGIN")
     assert done.code == 0
     assert files(boot)["userconf.txt"].startswith("operator:$6$")
-    assert "it takes no SSH key" in done.err
+    assert "this system takes no SSH key" in done.err
     again = project.fleet(*words, "--password-from", "LOGIN")
     assert "unchanged" in again.out
 
@@ -150,6 +151,16 @@ def test_a_card_that_its_robot_has_booted_from(project: Project) -> None:
     assert anew["cmdline.txt"] == TRIXIE["cmdline.txt"].replace("rpi-imager", instance)
     assert anew["cmdline.txt.before-fleet"] == TRIXIE["cmdline.txt"]
     assert (project.folder / "known_hosts").read_text() != recorded
+
+
+def test_the_instance_in_the_folder_of_ubuntu(project: Project) -> None:
+    """Since 25.10 the kernel's parameters are there; the Imager writes its own beside, which nobody reads."""
+    pinned = UBUNTU["cmdline.txt"].replace("\n", " ds=nocloud;i=rpi-imager-1\n")
+    boot = boot_partition(project.folder / "bootfs", UBUNTU_26 | {"current/cmdline.txt": pinned})
+    assert project.fleet("card", "--hosts", "pi7", "--boot", "bootfs").code == 0
+    instance = yaml.safe_load((boot / "meta-data").read_text())["instance-id"]
+    assert (boot / "current/cmdline.txt").read_text() == pinned.replace("rpi-imager-1", instance)
+    assert (boot / "current/cmdline.txt.before-fleet").read_text() == pinned
 
 
 @pytest.mark.parametrize("system", [BOOKWORM, BULLSEYE], ids=["bookworm", "bullseye"])

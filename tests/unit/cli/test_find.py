@@ -60,7 +60,7 @@ def test_who_is_around(own: Project) -> None:
     assert "pi1 (inventory: 127.0.0.1)" in rows[1]
     assert "Raspberry Pi" in rows[2]
     assert "pi1 is at 192.0.2.44; the inventory says 127.0.0.1" in done.err
-    assert "away was not found" in done.err
+    assert "not found: away" in done.err
     assert "  robi: robi.local\n" in done.err
     assert "  robot2: 192.0.2.9\n" in done.err
 

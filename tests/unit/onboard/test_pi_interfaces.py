@@ -74,6 +74,15 @@ def test_without_raspi_config(boot: Path, shell: str) -> None:
     )
 
 
+def test_the_folder_of_ubuntu(boot: Path) -> None:
+    """Since 25.10 the kernel reads its parameters there."""
+    (boot / "current").mkdir()
+    (boot / "cmdline.txt").rename(boot / "current/cmdline.txt")
+    assert switch_on(boot, "serial").returncode == 0
+    assert (boot / "current/cmdline.txt").read_bytes() == b"console=tty1 root=PARTUUID=1 rootwait\n"
+    assert (boot / "current/cmdline.txt.before-fleet").read_bytes() == CMDLINE
+
+
 def test_more_interfaces_later(boot: Path) -> None:
     """They join the marked lines; the copy is still that of the first time."""
     switch_on(boot, "i2c")

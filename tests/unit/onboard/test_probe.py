@@ -556,6 +556,15 @@ def test_a_raspberry_pi_is_seen(tmp_path: Path, tools: Path) -> None:
     assert "root" in seen.system_groups
 
 
+def test_the_kernels_parameters_of_ubuntu(tmp_path: Path, tools: Path) -> None:
+    """Since 25.10 they are in a folder, and a file beside it counts no more: here a console has the serial port."""
+    file(tmp_path, "boot/firmware/config.txt", "enable_uart=1\n")
+    file(tmp_path, "boot/firmware/cmdline.txt", "console=tty1\n")
+    assert seen_below(tmp_path, tools).hardware.interfaces == ("serial",)
+    file(tmp_path, "boot/firmware/current/cmdline.txt", "console=serial0,115200 console=tty1\n")
+    assert seen_below(tmp_path, tools).hardware.interfaces == ()
+
+
 def test_for_a_release_all_devices_are_listed(tmp_path: Path, tools: Path) -> None:
     """A Compose file may name any; folders too."""
     few, all_of_them = (

@@ -101,6 +101,15 @@ def test_what_is_known_without_a_login() -> None:
     assert Candidate(address="", maker="NVIDIA Jetson").likely
 
 
+def test_a_list_is_in_the_order_of_numbers() -> None:
+    """As a person looks an address up in it."""
+    places = (("fd00::1", 22), ("10.0.0.12", 22), ("10.0.0.9", 2222), ("10.0.0.9", 22))
+    ordered = sorted(
+        (Candidate(address=address, port=port) for address, port in places), key=lambda one: one.order
+    )
+    assert [one.where for one in ordered] == ["10.0.0.9", "[10.0.0.9]:2222", "10.0.0.12", "fd00::1"]
+
+
 def test_everybody_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who announces itself, who is a neighbour, who is in the inventory; each address only with ``scan``."""
     announced = (
