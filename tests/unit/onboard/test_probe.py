@@ -18,6 +18,7 @@ from fleet.images.layer import Blob
 from fleet.robot.facts import Dev
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
+from tests.support.homes import own_docker
 from tests.support.robot_shell import EACH_SHELL, SHELLS
 
 if TYPE_CHECKING:
@@ -48,7 +49,12 @@ def ran(home: Path, shell: str = "sh", path: str = "") -> subprocess.CompletedPr
 
 
 def probed(home: Path, shell: str = "sh", path: str = "") -> str:
-    """What the probe says on this computer."""
+    """What the probe says on this computer, but for the stacks of other tests."""
+    if not path:
+        hidden = home.with_name(f"{home.name}-hidden")
+        hidden.mkdir(exist_ok=True)
+        own_docker(hidden)
+        path = f"{hidden}:{os.environ['PATH']}"
     return ran(home, shell, path).stdout
 
 
