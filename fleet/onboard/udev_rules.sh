@@ -16,8 +16,8 @@ else
     rm -f "$path"
     durable "$folder"
 fi
-if ! command -v udevadm >/dev/null; then
-    echo 'note: there is no udev on this robot: the names come with it'
+if ! command -v udevadm >/dev/null || [ ! -S /run/udev/control ]; then
+    echo 'note: udev does not run on this robot: the names come when it starts'
     exit 0
 fi
 if ! problem=$({

@@ -100,6 +100,7 @@ def _udev(robot: Robot, facts: Facts) -> tuple[Step, ...]:
             argv=as_root(facts, "sh", "-c", onboard.text("udev_rules.sh"), "udev_rules", UDEV_RULES, *how),
             feed=Bytes(label=rules.removeprefix(_HEADING).strip(), data=rules.encode()) if rules else None,
             limit=30.0,
+            cure="`sudo udevadm control --reload && sudo systemctl status systemd-udevd` on the robot shows more",
         ),
     )
 

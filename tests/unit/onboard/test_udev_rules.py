@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import socket
 import subprocess
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def ran(
-    tmp_path: Path, rules: str, *, arrived: str | None = None, udev: str = "exit 0"
+    tmp_path: Path, rules: str, *, arrived: str | None = None, udev: str = "exit 0", runs: bool = True
 ) -> subprocess.CompletedProcess[str]:
     """The script with a udevadm that notes what it is asked, or with none. ``arrived`` of the rules comes through."""
     programs = tmp_path / "bin"
@@ -27,15 +28,22 @@ def ran(
         (programs / "udevadm").write_text(f'#!/bin/sh\necho "$*" >> {tmp_path}/asked\n{udev}\n')
         (programs / "udevadm").chmod(0o755)
     digest = (hashlib.sha256(rules.encode()).hexdigest(), onboard.text("replace_file.sh")) if rules else ()
-    path = str(tmp_path / "rules.d" / "99-fleet.rules")
-    return subprocess.run(
-        ("/bin/sh", "-c", onboard.text("udev_rules.sh"), "udev_rules", path, *digest),
-        input=rules if arrived is None else arrived,
-        env={"PATH": str(programs)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    path, control = str(tmp_path / "rules.d" / "99-fleet.rules"), str(tmp_path / "control")
+    script = onboard.text("udev_rules.sh")
+    assert "/run/udev/control" in script
+    with socket.socket(socket.AF_UNIX) as listens:
+        if runs:
+            listens.bind(control)
+        done = subprocess.run(
+            ("/bin/sh", "-c", script.replace("/run/udev/control", control), "udev_rules", path, *digest),
+            input=rules if arrived is None else arrived,
+            env={"PATH": str(programs)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    (tmp_path / "control").unlink(missing_ok=True)
+    return done
 
 
 def there(tmp_path: Path) -> dict[str, str]:
@@ -81,5 +89,8 @@ def test_rules_that_udev_does_not_take_are_taken_back(tmp_path: Path, failing: s
 
 
 def test_a_robot_without_udev_is_told(tmp_path: Path) -> None:
-    """A container, or a very small system: the file is there when udev comes."""
-    assert ran(tmp_path, "a rule\n", udev="").stdout.startswith("note: there is no udev on this robot")
+    """A container, or a very small system: the file is there when udev starts, and reads it then."""
+    for udev, runs in (("", True), ("exit 1", False)):
+        done = ran(tmp_path, "a rule\n", udev=udev, runs=runs)
+        assert (done.returncode, done.stdout[:40]) == (0, "note: udev does not run on this robot: t")
+        assert there(tmp_path) == {"99-fleet.rules": "a rule\n"}
