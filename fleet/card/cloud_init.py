@@ -8,9 +8,10 @@ are not used, because other systems refuse them.
 from __future__ import annotations
 
 import hashlib
+import re
 from typing import TYPE_CHECKING, Any
 
-from fleet.card.first_boot import HostKey
+from fleet.card.first_boot import MARK, HostKey
 from fleet.config import yamlfile
 from fleet.errors import UsageError
 
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
     from fleet.card.first_boot import FirstBoot
 
 USER_DATA, NETWORK, META_DATA = "user-data", "network-config", "meta-data"
-FILES = (USER_DATA, NETWORK, META_DATA)
-
-MARK = "# Written by `fab card` for the robot "
+_INSTANCE = re.compile(r"(?<!\S)(ds=nocloud(?:-net)?;(?:[^\s;]+;)*?(?:i|instance-id)=)[^\s;]*")
+"""The kernel's parameter that says which instance this is. The Raspberry Pi Imager writes it, and it goes before
+``meta-data`` (https://docs.cloud-init.io/en/latest/reference/datasources/nocloud.html)."""
 
 _FOLDER = "/boot/firmware"
 """Where Raspberry Pi OS and Ubuntu have the boot partition."""
@@ -45,21 +46,25 @@ _FORGET_KEY = f"sed -i '/^ssh_keys:/,$d' {_FOLDER}/{USER_DATA}"
 """The boot partition can be read by everybody on the robot. cloud-init's own copy is root's."""
 
 
-def files(first: FirstBoot, *, raspberry_pi_os: bool) -> dict[str, str]:
-    """Return the files by name."""
+def files(first: FirstBoot, *, raspberry_pi_os: bool, cmdlines: Mapping[str, str]) -> dict[str, str]:
+    """Return the files by name.
+
+    ``cmdlines`` are the card's files with the kernel's parameters, by name. One that says which instance this is becomes one
+    of the files, and says ours: otherwise a system that has booted already would not read the others.
+    """
     head = f"{MARK}{first.robot}\n"
     user_data = f"#cloud-config\n{head}{yamlfile.dump(_user_data(first, raspberry_pi_os=raspberry_pi_os))}"
     network = head + yamlfile.dump({"network": _network(first)})
     # cloud-init sets a computer up once for each instance: new content is a new instance.
     digest = hashlib.sha256(f"{user_data}{network}".encode()).hexdigest()[:12]
-    meta = head + yamlfile.dump({"instance-id": f"fleet-{first.hostname}-{digest}", "dsmode": "local"})
-    return {USER_DATA: user_data, NETWORK: network, META_DATA: meta}
-
-
-def prepared_for(user_data: str) -> str:
-    """Return the robot that a card was prepared for, "" if it was not by `fab card`."""
-    lines = (line.removeprefix(MARK) for line in user_data.splitlines()[:3] if line.startswith(MARK))
-    return next(lines, "").strip()
+    instance = f"fleet-{first.hostname}-{digest}"
+    meta = head + yamlfile.dump({"instance-id": instance, "dsmode": "local"})
+    pinned = {
+        name: _INSTANCE.sub(lambda match: match[1] + instance, text)
+        for name, text in cmdlines.items()
+        if _INSTANCE.search(text)
+    }
+    return {USER_DATA: user_data, NETWORK: network, META_DATA: meta, **pinned}
 
 
 def host_key(user_data: str, *, path: Path) -> HostKey | None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from fleet.card.first_boot import MARK
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
@@ -30,7 +32,7 @@ def files(first: FirstBoot) -> dict[str, str]:
     if first.timezone:
         tables["locale"] = {"timezone": first.timezone}
     # The system removes the file when it has read it.
-    lines = [f"# Written by `fab card` for the robot {first.robot}", "config_version = 1"]
+    lines = [f"{MARK}{first.robot}", "config_version = 1"]
     for name, table in tables.items():
         lines += ["", f"[{name}]", *_lines(table)]
     return {FILE: "\n".join(lines) + "\n"}
@@ -38,8 +40,8 @@ def files(first: FirstBoot) -> dict[str, str]:
 
 def lost(first: FirstBoot) -> tuple[str, ...]:
     """Say what this system cannot be told."""
-    others = [one.name for one in first.networks[1:]]
-    return (f"it takes one Wi-Fi network: {', '.join(others)} must wait",) if others else ()
+    others = ", ".join(one.name for one in first.networks[1:])
+    return (f"this system takes one Wi-Fi network, so these are left out: {others}",) if others else ()
 
 
 def _lines(table: Mapping[str, object]) -> Iterator[str]:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from fleet.config.inventory import Robot
 
+MARK = "# Written by `fab card` for the robot "
+"""How a file begins, or the line after its first, that tells for whom the card is."""
+
 HIDDEN = "(hidden)"
 """What stands in place of a secret that is shown."""
 
@@ -80,6 +83,12 @@ def hostname(robot: Robot) -> str:
             cure="rename the robot, or give it an address such as pi7.local: letters, digits and '-', at most 63",
         )
     return name
+
+
+def prepared_for(text: str) -> str:
+    """Return the robot that a file was written for, "" if `fab card` did not write it."""
+    lines = (line.removeprefix(MARK) for line in text.splitlines()[:3] if line.startswith(MARK))
+    return next(lines, "").strip()
 
 
 def check_timezone(name: str, *, known: Collection[str]) -> None:

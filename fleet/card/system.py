@@ -22,7 +22,17 @@ _NO_DEFAULT_USER = "2022-04-04"
 """The first Raspberry Pi OS without a default user, and with ``userconf.txt``."""
 
 _FIRST_BOOT = "raspberrypi-sys-mods/firstboot"
-"""In ``cmdline.txt`` until the first boot of bookworm, which reads ``custom.toml``."""
+"""In ``cmdline.txt`` until the first boot, which reads ``custom.toml`` since bookworm."""
+
+_FIRST_BOOTS = (_FIRST_BOOT, "raspi-config/init_resize.sh")
+"""In ``cmdline.txt`` until the first boot of bullseye, by its age."""
+
+CMDLINES = ("cmdline.txt", "current/cmdline.txt")
+"""The kernel's parameters. Ubuntu has them in a folder since 25.10, which goes before
+(https://canonical-ubuntu-boards.readthedocs-hosted.com/en/latest/explanations/piboot-ab)."""
+
+_IMAGER = "firstrun.sh"
+"""A script that the Raspberry Pi Imager 1 writes for settings, and lets ``cmdline.txt`` run at the first boot."""
 
 _MOUNTED = (
     "`lsblk -o NAME,LABEL,MOUNTPOINTS` shows where the card's partition bootfs or system-boot is mounted"
@@ -64,7 +74,9 @@ def _check(folder: Path) -> None:
     if (folder / "etc/os-release").exists():
         cure = f"the boot partition is the small one beside it: {_MOUNTED}"
         raise UsageError(f"{folder} is the root file system of a card", cure=cure)
-    missing = [name for name in ("config.txt", "cmdline.txt") if not (folder / name).is_file()]
+    there = {name for name in ("config.txt", *CMDLINES) if (folder / name).is_file()}
+    missing = [] if "config.txt" in there else ["config.txt"]
+    missing += [] if there.intersection(CMDLINES) else ["cmdline.txt"]
     if missing:
         what = f"{folder} is not the boot partition of a Raspberry Pi: {' and '.join(missing)} missing"
         raise UsageError(what, cure=_MOUNTED)
@@ -94,14 +106,19 @@ def _system(folder: Path) -> System:
             cure="write Raspberry Pi OS or Ubuntu for the Raspberry Pi on it; other systems are set up by hand, then `fab trust`",
         )
     bookworm = "auto_initramfs" in _text(folder / "config.txt")
-    if bookworm and _FIRST_BOOT in _text(folder / "cmdline.txt"):
-        return System(kind="custom.toml", raspberry_pi_os=True, name=f"{name}, with custom.toml")
-    if bookworm:
-        what = f"{name} on the card at {folder} has booted already (cmdline.txt), and reads no custom.toml any more"
-        raise UsageError(what, cure="write the card again")
-    if date < _NO_DEFAULT_USER:
+    if not bookworm and date < _NO_DEFAULT_USER:
         raise UsageError(f"{name} on the card at {folder} is too old", cure="write a newer one on the card")
-    return System(kind="userconf.txt", raspberry_pi_os=True, name=f"{name}, with userconf.txt")
+    if _IMAGER in _text(folder / "cmdline.txt"):
+        raise UsageError(
+            f"the card at {folder} has settings of the Raspberry Pi Imager ({_IMAGER}), which would replace ours",
+            cure="write the card again, without the Imager's settings",
+        )
+    kind: Kind = "custom.toml" if bookworm else "userconf.txt"
+    cmdline = _text(folder / "cmdline.txt")
+    if not any(first in cmdline for first in ((_FIRST_BOOT,) if bookworm else _FIRST_BOOTS)):
+        what = f"{name} on the card at {folder} has booted already (cmdline.txt says so), and does not read {kind} again"
+        raise UsageError(what, cure="write the card again; or change the robot over SSH")
+    return System(kind=kind, raspberry_pi_os=True, name=f"{name}, with {kind}")
 
 
 def _text(path: Path) -> str:

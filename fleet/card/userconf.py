@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fleet.card.first_boot import MARK
+
 if TYPE_CHECKING:
     from fleet.card.first_boot import FirstBoot
 
@@ -16,11 +18,12 @@ SSH, LOGIN, WIFI = "ssh", "userconf.txt", "wpa_supplicant.conf"
 
 def files(first: FirstBoot) -> dict[str, str]:
     """Return the files by name."""
-    made = {SSH: "", LOGIN: f"{first.user}:{first.password}\n"}
+    # Only its name counts for the system (sshswitch.service), so its text tells whose card it is.
+    made = {SSH: f"{MARK}{first.robot}\n", LOGIN: f"{first.user}:{first.password}\n"}
     if not first.networks:
         return made
     lines = [
-        f"# Written by `fab card` for the robot {first.robot}",
+        f"{MARK}{first.robot}",
         f"country={first.country}",
         "ctrl_interface=DIR=/var/run/wpa_supplicant GROUP=netdev",
         "update_config=1",
@@ -45,6 +48,6 @@ def lost(first: FirstBoot) -> tuple[str, ...]:
     """Say what this system cannot be told."""
     after = f"the name {first.hostname}" + (f" and the time zone {first.timezone}" if first.timezone else "")
     return (
-        f"it takes no SSH key: log in with the password once, as `ssh-copy-id {first.user}@ADDRESS` does",
-        f"it takes no name: set {after} with `sudo raspi-config` on the robot",
+        f"this system takes no SSH key: log in with the password once, as `ssh-copy-id {first.user}@ADDRESS` does",
+        f"this system takes no name: set {after} with `sudo raspi-config` on the robot",
     )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from typing import TYPE_CHECKING, Literal
 
-from fleet.card import cloud_init
+from fleet.card.first_boot import MARK
 from fleet.errors import DesktopError
 
 if TYPE_CHECKING:
@@ -64,26 +65,36 @@ def text(path: Path) -> str:
 
 
 def _one(content: str, path: Path) -> None:
-    kept, new = path.with_name(path.name + BEFORE), path.with_name(path.name + ".new")
-    if path.exists() and not kept.exists() and cloud_init.MARK not in text(path):
-        _flushed(kept, path.read_bytes())
+    kept = path.with_name(path.name + BEFORE)
+    if path.exists() and not kept.exists() and MARK not in text(path):
+        _replace(kept, path.read_bytes())
+    _replace(path, content.encode())
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Write a file beside, and rename it when it is on the card: people pull cards out."""
+    new = path.with_name(path.name + ".new")
     try:
-        _flushed(new, content.encode())
+        with new.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
         new.replace(path)
     except OSError:
         with contextlib.suppress(OSError):
             new.unlink(missing_ok=True)  # it may hold a part of a key
         raise
-    handle = os.open(path.parent, os.O_RDONLY)
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Let a rename reach the card, also on a file system that cannot sync one folder (some in user space)."""
+    handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as problem:
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS):
+            raise
+        os.sync()
     finally:
         os.close(handle)
-
-
-def _flushed(path: Path, data: bytes) -> None:
-    """People pull cards out."""
-    with path.open("wb") as out:
-        out.write(data)
-        out.flush()
-        os.fsync(out.fileno())

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fleet.card import cloud_init, custom_toml, first_boot, password, system, userconf, write
+from fleet.card import cloud_init, custom_toml, first_boot, password, prepared, system, userconf, write
 from fleet.card.first_boot import HIDDEN, FirstBoot, HostKey, Network
 from fleet.cli import program
 from fleet.cli.console import Screen
@@ -23,6 +23,7 @@ from fleet.ssh import host_keys, known_hosts, openssh_config
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from fleet.card.prepared import Prepared
     from fleet.card.system import System
     from fleet.config import card as values
     from fleet.config.inventory import Robot
@@ -36,7 +37,7 @@ _PLACES = ("/media/*/*", "/run/media/*/*", "/media/*", "/mnt/*", "/mnt")
         "hosts": "the robot of this card; several: one card after the other",
         "boot": "the folder where the card's boot partition is mounted, such as /media/me/bootfs",
         "password_from": "variable with the login's password, for systems that take no SSH key; default: ask",
-        "overwrite": "the card was prepared for another robot: prepare it anew",
+        "overwrite": "prepare anew a card that was prepared for another robot, or that its robot has booted from",
     }
 )
 def card(
@@ -51,8 +52,9 @@ def card(
     """Prepare a robot's freshly written SD card.
 
     It writes what the first boot needs onto the card's boot partition: name, login with your SSH key, Wi-Fi, time zone, and
-    an SSH host key that it records, so that `fab trust` is not needed. The key `card:` of the inventory has Wi-Fi and time
-    zone. Raspberry Pi OS and Ubuntu are recognised by the card.
+    an SSH host key that it records, so that `fab trust` is not needed. Raspberry Pi OS before trixie takes no host key. The
+    key `card:` of the inventory has Wi-Fi and time zone. The card tells which system is on it. Until the first boot, a
+    second run changes nothing.
     """
     screen, robots = Screen(), select(inventory, hosts)[1]
     if not boot:
@@ -69,7 +71,8 @@ def card(
         outcomes = list(_one_after_the_other(robots, desk))
     code = screen.result(outcomes, json=json)
     if not code and not dry:
-        text = "unmount the card before you pull it out; `fab await` says when the robot has come up"
+        names = ",".join(robot.name for robot in robots)
+        text = f"unmount the card before you pull it out; `fab await --hosts {names}` says when the robot has come up"
         screen.say(program.typed(text))
     return code
 
@@ -111,9 +114,12 @@ class _Desk:
 
     def _prepare(self, robot: Robot, *, show: bool) -> Outcome:
         found = system.look(self.folder)
+        there = prepared.look(self.folder)
+        if not self.overwrite:
+            there.check(robot.name)
         destination = openssh_config.resolve(robot)
-        first = self._first_boot(robot, destination, found)
-        make, lost = _maker(found)
+        first = self._first_boot(robot, destination, found, there)
+        make, lost = _maker(found, self.folder)
         files = make(first)
         if self.dry:
             states = write.planned(files, folder=self.folder)
@@ -140,7 +146,9 @@ class _Desk:
             robot=robot.name, status="done" if done and not self.dry else "unchanged", summary=summary
         )
 
-    def _first_boot(self, robot: Robot, destination: Destination, found: System) -> FirstBoot:
+    def _first_boot(
+        self, robot: Robot, destination: Destination, found: System, there: Prepared
+    ) -> FirstBoot:
         if destination.user == "root":
             raise UsageError(
                 f"{robot.name}: fab card makes no login for root", cure="set `user:` in the inventory"
@@ -161,26 +169,11 @@ class _Desk:
         )
         match found.kind:
             case "cloud-init":
-                return replace(first, host_key=self._host_key(robot, first.hostname))
+                return replace(first, host_key=_host_key(there, first))
             case "userconf.txt":
                 return replace(first, password=self._password(robot, first.user))
             case _:
                 return first
-
-    def _host_key(self, robot: Robot, hostname: str) -> HostKey:
-        """The key that the card has already, so that a second run changes nothing; or a new one."""
-        path = self.folder / cloud_init.USER_DATA
-        there = write.text(path)
-        other = cloud_init.prepared_for(there)
-        if other and other != robot.name and not self.overwrite:
-            raise UsageError(
-                f"the card at {self.folder} was prepared for the robot {other}",
-                cure="insert the right card; to use this one, write it again, or say --overwrite",
-            )
-        if other == robot.name and (old := cloud_init.host_key(there, path=path)):
-            return old
-        private, public = host_keys.make(f"root@{hostname}")
-        return HostKey(private=private, public=public)
 
     def _network(self, one: values.Network) -> Network:
         if one.open:
@@ -220,13 +213,25 @@ class _Desk:
         raise UsageError(f"no answer to: {question}", cure=cure)
 
 
+def _host_key(there: Prepared, first: FirstBoot) -> HostKey:
+    """The key that the card has already, so that a second run changes nothing; or a new one."""
+    if there.robot == first.robot and there.host_key:
+        return there.host_key
+    private, public = host_keys.make(f"root@{first.hostname}")
+    return HostKey(private=private, public=public)
+
+
 def _maker(
-    found: System,
+    found: System, folder: Path
 ) -> tuple[Callable[[FirstBoot], dict[str, str]], Callable[[FirstBoot], Sequence[str]]]:
     """What writes the files for a system, and says what it cannot be told."""
     match found.kind:
         case "cloud-init":
-            return lambda first: cloud_init.files(first, raspberry_pi_os=found.raspberry_pi_os), lambda _: ()
+            raspberry = found.raspberry_pi_os
+            cmdlines = {name: write.text(folder / name) for name in system.CMDLINES}
+            return lambda first: cloud_init.files(
+                first, raspberry_pi_os=raspberry, cmdlines=cmdlines
+            ), lambda _: ()
         case "custom.toml":
             return custom_toml.files, custom_toml.lost
         case "userconf.txt":
@@ -265,8 +270,8 @@ def _exported(name: str, about: str) -> str:
 
 def _where() -> str:
     """Name a folder that looks like a boot partition."""
-    folders = (path.parent for place in _PLACES for path in Path("/").glob(f"{place[1:]}/cmdline.txt"))
-    there = [str(folder) for folder in folders if (folder / "config.txt").is_file()]
+    folders = (path.parent for place in _PLACES for path in Path("/").glob(f"{place[1:]}/config.txt"))
+    there = [str(folder) for folder in folders if any((folder / name).is_file() for name in system.CMDLINES)]
     if there:
         return f"this looks like one: --boot {there[0]}"
     return (

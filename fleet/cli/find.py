@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from fleet.config.inventory import Robot
-    from fleet.rollout.sighting import Sighting
+    from fleet.rollout.sighting import Candidate, Sighting
 
 COLUMNS = ("address", "name", "robot", "computer", "host key")
 
@@ -32,8 +32,9 @@ def await_(
 ) -> int:
     """Wait until robots have come up, and say where.
 
-    It waits until each robot lets you in and its first boot is over. A robot that is not at its address is looked for by
-    its name in the local network, and by its host key among the neighbours of this computer.
+    It waits until each robot lets you in and its first boot is over; restarts and lost connections do not end the wait. A
+    robot that is not at its address is looked for by its name in the local network, and by its host key among the neighbours
+    of this computer.
     """
     screen, robots = Screen(), selection.select(inventory, hosts)[1]
     with screen.progress() as progress:
@@ -45,19 +46,24 @@ def await_(
 def find(scan: bool = False, json: bool = False, inventory: str = "") -> None:
     """Look for robots in the local network.
 
-    It asks who announces itself (mDNS) and the neighbours that this computer knows, without logging in. A robot of the
-    inventory is recognised by its host key, also at another address. For other computers it prints lines for the
-    inventory.
+    It asks who announces itself (mDNS) and the neighbours that this computer knows, without logging in, at port 22 and the
+    ports of your robots. A robot of the inventory is recognised by its host key, also at another address. Each computer is
+    shown once, with all its addresses. For other computers it prints lines for the inventory.
     """
     screen = Screen()
     fleet = selection.load(inventory) if inventory or selection.found() else None
     robots = tuple(fleet.robots.values()) if fleet else ()
     screen.say("looking around" + (", at each address" if scan else ""))
     register = sighting.register(robots)
-    found = sighting.candidates(also=register.addresses, scan=scan)
+    found = sighting.candidates(
+        also=register.places,
+        ports=register.ports,
+        scan=scan,
+        on_problem=lambda problem: screen.say(f"note: {problem}"),
+    )
     seen = sorted(
-        sighting.sight(found, like=_anybody(robots), register=register),
-        key=lambda one: (not one.robot, not one.candidate.likely, one.candidate.address),
+        sighting.computers(sighting.sight(found, like=_anybody(robots), register=register)),
+        key=lambda one: (not one.robot, not one.candidate.likely, one.candidate.order),
     )
     models = _models(seen, robots)
     if json:
@@ -68,11 +74,13 @@ def find(scan: bool = False, json: bool = False, inventory: str = "") -> None:
         screen.say(program.typed(line))
 
 
-def record(one: Sighting, *, model: str) -> dict[str, str | bool]:
+def record(one: Sighting, *, model: str) -> dict[str, str | int | list[str]]:
     """Return what programs get about a computer."""
     where = one.candidate
     return {
         "address": where.address,
+        "port": where.port,
+        "also": [other.where for other in one.also],
         "name": where.name,
         "maker": where.maker,
         "system": where.system,
@@ -116,9 +124,9 @@ def _row(one: Sighting, model: str) -> list[tuple[str, str]]:
     where = one.candidate
     computer = model or ", ".join(filter(None, (where.maker, where.system)))
     robot = f"{one.robot} (inventory: {one.expected})" if one.moved else one.robot
-    style = {"known": "green", "changed": "bold red"}.get(one.key, "yellow")
+    style = {"known": "green", "changed": "bold red", "copied": "bold red"}.get(one.key, "yellow")
     return [
-        (where.address, ""),
+        (", ".join((where.where, *(other.where for other in one.also))), ""),
         (where.name, ""),
         (robot, "bold yellow" if one.moved else "bold"),
         (computer, ""),
@@ -129,17 +137,40 @@ def _row(one: Sighting, model: str) -> list[tuple[str, str]]:
 def _advice(seen: Sequence[Sighting], robots: Sequence[Robot], *, scan: bool) -> Iterator[str]:
     for one in seen:
         if one.moved:
-            yield f"{one.robot} is at {one.candidate.address}; the inventory says {one.expected}"
-    for name in sorted({robot.name for robot in robots} - {one.robot for one in seen}):
-        yield f"{name} was not found"
+            yield f"{one.robot} is at {one.candidate.where}; the inventory says {one.expected}"
+    yield from _copies(seen)
+    found = {one.robot for one in seen}
+    if missing := [robot.name for robot in robots if robot.name not in found]:
+        yield f"not found: {', '.join(missing)}"
     others = [one for one in seen if not one.robot]
     if others:
         yield "for the inventory, under `robots:` (choose your names, then `fab trust`):"
         taken = {robot.name for robot in robots}
         for number, one in enumerate(others, start=1):
-            yield f"  {_name(one, number, taken)}: {one.candidate.name or one.candidate.address}"
+            yield f"  {_name(one, number, taken)}: {_entry(one.candidate)}"
     if not seen and not scan:
         yield "nobody answers: `fab find --scan` tries each address of this computer's networks"
+
+
+def _copies(seen: Sequence[Sighting]) -> Iterator[str]:
+    """Say which computers have one host key. `fab` could take one for the other."""
+    for key in dict.fromkeys(one.fingerprint for one in seen):
+        same = [one for one in seen if one.fingerprint == key]
+        if len(same) > 1:
+            who = " and ".join(
+                f"{one.robot or one.candidate.name or 'a computer'} ({one.candidate.where})" for one in same
+            )
+            yield (
+                f"{who} have the same host key. If the inventory has one computer twice, remove one entry. If a card was "
+                "copied, give the copy a key of its own: `sudo rm /etc/ssh/ssh_host_*; sudo ssh-keygen -A; sudo reboot` on "
+                "it, then `fab trust --changed`"
+            )
+
+
+def _entry(where: Candidate) -> str:
+    """What stands after a robot's name in the inventory."""
+    address = where.name or (f'"{where.address}"' if ":" in where.address else where.address)
+    return address if where.port == 22 else f"{{address: {address}, port: {where.port}}}"
 
 
 def _name(one: Sighting, number: int, taken: set[str]) -> str:

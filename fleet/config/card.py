@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import AfterValidator, Field, SecretStr, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, model_validator
 
 from fleet.config import validation
 from fleet.config.model import Frozen
 
 if TYPE_CHECKING:
     from fleet.config.yamlfile import Location
+
+
+Secret = Annotated[SecretStr, BeforeValidator(validation.secret)]
+"""Text that no message shows, not even one about a wrong value."""
 
 
 class Network(Frozen):
@@ -24,7 +28,7 @@ class Network(Frozen):
     passphrase_from: Annotated[str, Field(pattern=validation.SHELL_VARIABLE)] | None = Field(
         default=None, description="Variable of your shell that holds the passphrase."
     )
-    passphrase: SecretStr | None = Field(
+    passphrase: Secret | None = Field(
         default=None, description="The passphrase itself. Whoever reads this file can then join the network."
     )
 

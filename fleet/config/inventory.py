@@ -10,12 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PlainValidator,
-    ValidationError,
-)
+from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
 
 from fleet.config import card, hardware, merge, validation
 from fleet.config.card import Card

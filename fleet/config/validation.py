@@ -178,6 +178,15 @@ def ssid(value: str) -> str:
     return value
 
 
+def secret(value: object) -> object:
+    """``value`` if it is text; otherwise raise ValueError with a message that does not show it: people send messages on."""
+    if isinstance(value, bool | int | float):
+        raise ValueError("must be text, and YAML reads this as a number or a truth value; put it in quotes")  # noqa: TRY004  pydantic wants it
+    if isinstance(value, list | dict):
+        raise ValueError("must be text")  # noqa: TRY004  pydantic wants it
+    return value
+
+
 def environment_value(value: object) -> str | int | float:
     """``value`` if it is text or a number; otherwise raise ValueError with the message."""
     if isinstance(value, bool):

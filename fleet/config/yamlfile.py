@@ -8,6 +8,7 @@ Two of YAML's traps are closed: keys are text as written (a robot called ``on`` 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -186,6 +187,16 @@ _MEANINGS = (
     ("expected a single document", "a second document (`---`) starts here", "keep one per file"),
     ("while parsing a block", "this line is not indented like the ones it belongs to", ""),
     ("cannot start any token", "text cannot begin with this character", "put it in quotes"),
+    (
+        "found undefined alias",
+        "an alias (`*`) without its anchor (`&`)",
+        "put text that begins with `*` in quotes",
+    ),
+    (
+        "found duplicate anchor",
+        "an anchor (`&`) that is there twice",
+        "put text that begins with `&` in quotes",
+    ),
 )
 _OPENED = ("while scanning a quoted scalar", "while parsing a flow", "while scanning a simple key")
 
@@ -198,7 +209,9 @@ def _syntax_error(
     mark = bad.context_mark if said.startswith(_OPENED) else end
     if end and _tab_indents(source[: end.index + 1]):
         return error(f"{path}:{end.line + 1}: a tab in the indentation", cure="YAML wants spaces")
-    what, cure = next(((what, cure) for key, what, cure in _MEANINGS if key in said), (said, ""))
+    # PyYAML quotes what it has found there, and that may be a part of a passphrase.
+    unquoted = re.sub(r""" ?(['"]).{2,}\1""", "", said)
+    what, cure = next(((what, cure) for key, what, cure in _MEANINGS if key in said), (unquoted, ""))
     return error(f"{path}:{mark.line + 1 if mark else 1}: not YAML: {what}", cure=cure)
 
 
@@ -235,7 +248,10 @@ class _Builder:
 
     def _make(self, node: yaml.Node) -> Entry:
         if node.tag.removeprefix(_TAGS) not in _KINDS:
-            self._problem(node, f"a tag that means nothing here ({node.tag})")
+            # Without the tag's own text: it may be a passphrase that begins with `!`.
+            self._problem(
+                node, "a tag (`!`) that means nothing here; put text that begins with `!` in quotes"
+            )
         if isinstance(node, yaml.MappingNode):
             keyed: dict[str | int, Entry] = dict(self._pairs(node))
             mapping = {str(key): entry.value for key, entry in keyed.items()}

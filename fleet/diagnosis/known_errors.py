@@ -280,7 +280,7 @@ KNOWN_ERRORS = (
     KnownError(
         r"(?i)memory (?:controller|cgroup).*(?:disabled|not (?:found|available|enabled))|cgroup.*memory.*no such file",
         "the robot's kernel does not support memory limits",
-        "on the robot, add `cgroup_enable=memory` to the line in /boot/firmware/cmdline.txt, and reboot",
+        "on the robot, add `cgroup_enable=memory` to the line in /boot/firmware/cmdline.txt (Ubuntu since 25.10: current/cmdline.txt in that folder), and reboot",
     ),
     KnownError(
         r'exec: "([^"]+)": (?:executable file not found|stat|permission denied)|^exec (\S+): no such file',

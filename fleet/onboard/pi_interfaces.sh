@@ -7,21 +7,24 @@ set -eu
 PATH=$PATH:/usr/sbin:/sbin
 config=$1/config.txt
 cmdline=$1/cmdline.txt
+[ ! -e "$1/current/cmdline.txt" ] || cmdline=$1/current/cmdline.txt # Ubuntu since 25.10
 shift
 first='# fleet: what "interfaces:" of the inventory says'
 last='# fleet: end'
 
-keep() {
-    [ ! -e "$1" ] || [ -e "$1.before-fleet" ] || {
-        cp "$1" "$1.before-fleet.new"
-        mv "$1.before-fleet.new" "$1.before-fleet"
-    }
-}
+durable() { sync "$@" 2>/dev/null || sync; }
 # FILE.new takes the place of FILE, unless it is empty. On FAT, owner and mode are the same for all files.
 replace() {
     [ -s "$1.new" ]
-    sync "$1.new" 2>/dev/null || sync
+    durable "$1.new"
     mv "$1.new" "$1"
+    durable "$(dirname "$1")"
+}
+keep() {
+    [ ! -e "$1" ] || [ -e "$1.before-fleet" ] || {
+        cp "$1" "$1.before-fleet.new"
+        replace "$1.before-fleet"
+    }
 }
 
 keep "$config"
@@ -30,6 +33,9 @@ if [ "$(grep -cxF "$first" "$config")" != "$(grep -cxF "$last" "$config")" ]; th
     echo "$config has one of the lines '$first' and '$last' without the other: remove it" >&2
     exit 1
 fi
+# Noted first: if this is interrupted, an interface may be on without anybody knowing that it waits for a reboot.
+for pair in "$@"; do printf ' %s' "${pair%%=*}"; done >>/run/fleet-reboot # in memory: the next boot removes it
+echo >>/run/fleet-reboot
 names='' own=''
 for pair in "$@"; do
     name=${pair%%=*}
@@ -67,5 +73,4 @@ if [ -n "$own" ]; then
     replace "$config"
 fi
 sync
-echo "$names" >>/run/fleet-reboot # in memory: the next boot removes it
 echo "note: reboot the robot to switch on:$names"

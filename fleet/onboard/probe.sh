@@ -121,8 +121,9 @@ head -c 10000 "$rules" 2>/dev/null
 section pi
 for folder in /boot/firmware /boot; do
     [ -f "$folder/config.txt" ] || continue
-    printf '%s\n' "$folder" "$(command -v raspi-config)" \
-        "$(head -n 1 "$folder/cmdline.txt" 2>/dev/null | cut -c1-2000)"
+    cmdline=$folder/cmdline.txt
+    [ ! -e "$folder/current/cmdline.txt" ] || cmdline=$folder/current/cmdline.txt # Ubuntu since 25.10
+    printf '%s\n' "$folder" "$(command -v raspi-config)" "$(head -n 1 "$cmdline" 2>/dev/null | cut -c1-2000)"
     tr -d '\r' <"$folder/config.txt" | grep -E '^(device_tree_param|dtparam|enable_uart|camera_auto_detect|start_x)=' |
         cut -c1-200 | head -n 40
     break

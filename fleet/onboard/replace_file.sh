@@ -1,18 +1,27 @@
 #!/bin/sh
-# Replace a file of the system by standard input, whole or not at all; as root. Owner and mode stay.
-# Usage: replace_file.sh PATH
-# What fleet found there the first time is kept as PATH.before-fleet.
+# Replace a file by standard input, whole or not at all. Owner and mode stay.
+# Usage: replace_file.sh PATH SHA256 [keep]   (keep: what fleet found there the first time stays as PATH.before-fleet)
+# If the connection is lost, the input just ends. So the digest says whether it is whole; otherwise the exit code is 74.
 set -eu
-folder=$(dirname "$1")
+path=$1 digest=$2 keep=${3-}
+folder=$(dirname "$path")
+new=$path.new kept=$path.before-fleet
+durable() { sync "$@" 2>/dev/null || sync; }
+
 mkdir -p "$folder"
-if [ -e "$1" ]; then
-    if [ ! -e "$1.before-fleet" ]; then
-        cp -p "$1" "$1.before-fleet.new"
-        mv "$1.before-fleet.new" "$1.before-fleet"
-    fi
-    cp -p "$1" "$1.new"
+trap 'rm -f "$new" "$kept.new"' EXIT
+[ ! -e "$path" ] || cp -p "$path" "$new"
+cat >"$new"
+if [ "$(sha256sum <"$new" | cut -c1-64)" != "$digest" ]; then
+    echo "the bytes for $path did not arrive whole, so it stays as it was" >&2
+    exit 74
 fi
-cat >"$1.new"
-sync "$1.new" 2>/dev/null || sync # after a power cut it is the old file or the new one, and not empty
-mv "$1.new" "$1"
-sync "$folder" 2>/dev/null || sync
+if [ -n "$keep" ] && [ -e "$path" ] && [ ! -e "$kept" ]; then
+    cp -p "$path" "$kept.new"
+    durable "$kept.new"
+    mv "$kept.new" "$kept"
+    durable "$folder" # before the original goes: after a power cut one of both must be there
+fi
+durable "$new" # after a power cut it is the old file or the new one, and not empty
+mv "$new" "$path"
+durable "$folder"

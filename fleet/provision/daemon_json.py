@@ -8,14 +8,12 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from fleet import onboard
 from fleet.errors import NotReady
-from fleet.plan.step import Bytes, Step
-from fleet.provision import jetson
-from fleet.provision.sudo import as_root
+from fleet.provision import jetson, whole_file
 
 if TYPE_CHECKING:
     from fleet.config.inventory import Robot
+    from fleet.plan.step import Step
     from fleet.robot.facts import Facts
 
 PATH = "/etc/docker/daemon.json"
@@ -43,11 +41,8 @@ def steps(robot: Robot, facts: Facts) -> tuple[Step, ...]:
     )
     text = json.dumps(wanted, indent=2, ensure_ascii=False) + "\n"
     return (
-        Step(
-            title="; ".join(titles),
-            argv=as_root(facts, "sh", "-c", onboard.text("replace_file.sh"), "replace_file", PATH),
-            feed=Bytes(label=" ".join(text.split()), data=text.encode()),
-            limit=20.0,
+        whole_file.step(
+            "; ".join(titles), PATH, text.encode(), label=" ".join(text.split()), root=facts, keep=True
         ),
     )
 

@@ -8,6 +8,7 @@ from fleet import onboard
 from fleet.config.selection import did_you_mean
 from fleet.errors import NotReady
 from fleet.plan.step import Bytes, Step
+from fleet.provision import whole_file
 from fleet.provision.sudo import as_root
 from fleet.robot import raspberry_pi
 from fleet.robot.hardware import UDEV_RULES
@@ -92,12 +93,14 @@ def _udev(robot: Robot, facts: Facts) -> tuple[Step, ...]:
     title = (
         f"name {', '.join(f'/dev/{name}' for name in names)}" if names else "remove the names of USB devices"
     )
+    how = (whole_file.digest(rules.encode()), onboard.text("replace_file.sh")) if rules else ()
     return (
         Step(
             title=f"{title} (udev rules)",
-            argv=as_root(facts, "sh", "-c", onboard.text("udev_rules.sh"), "udev_rules", UDEV_RULES),
-            feed=Bytes(label=rules.removeprefix(_HEADING).strip() or "nothing", data=rules.encode()),
+            argv=as_root(facts, "sh", "-c", onboard.text("udev_rules.sh"), "udev_rules", UDEV_RULES, *how),
+            feed=Bytes(label=rules.removeprefix(_HEADING).strip(), data=rules.encode()) if rules else None,
             limit=30.0,
+            cure="`sudo udevadm control --reload && sudo systemctl status systemd-udevd` on the robot shows more",
         ),
     )
 

@@ -27,11 +27,15 @@ _PROOF = '{{range $name, $_ := .Runtimes}}{{if eq $name "nvidia"}}nvidia{{end}}{
 def check_version(robot: Robot, facts: Facts, *, major: int | None) -> None:
     """Refuse a version of Docker that the robot's kernel is not made for; ``major`` is None for the newest.
 
+    A Docker that answers has shown that it starts here. Then a table of which nothing is known refuses nothing.
+
     Raises:
         NotReady: with the line to write.
 
     """
     if not facts.hardware.lacks_raw_table or (major is not None and major < NEEDS_RAW_TABLE):
+        return
+    if facts.hardware.raw_table is None and facts.docker.state in ("ready", "forbidden"):
         return
     board = facts.hardware.model or "robot"
     why = f"without it Docker {NEEDS_RAW_TABLE} and newer do not start, or publish no ports"

@@ -15,7 +15,7 @@ from fleet import onboard
 from fleet.errors import NotReady
 from fleet.plan import readiness
 from fleet.plan.step import Bytes, Plan, Record, Step
-from fleet.provision import apt, daemon_json, hardware, jetson, sudo
+from fleet.provision import apt, daemon_json, hardware, jetson, sudo, whole_file
 from fleet.provision.sudo import as_root
 from fleet.robot.paths import HOME
 from fleet.units import human_bytes
@@ -40,13 +40,9 @@ SCRIPT = f"{HOME}/get-docker.sh"
 BOOT = f"{HOME}/boot.sh"
 PROOF_IMAGE = "fleet-proof"
 
-_SEND = 'mkdir -p "$(dirname "$1")" && cat > "$1" && sha256sum "$1"'
-_WRITE = 'mkdir -p "$(dirname "$1")" && cat > "$1.new" && mv "$1.new" "$1"'
 _GROUP = 'groupadd --force --system docker && usermod --append --groups docker "$1"'
 _RESTART = "systemctl reset-failed docker.service docker.socket; systemctl enable --now docker"
 _IS_INSTALLED = "command -v docker || { echo 'the script ended without an error, and did not install Docker' >&2; exit 1; }"
-_FINISH = "cat > /etc/systemd/system/fleet-finish.service && systemctl daemon-reload && systemctl enable --quiet fleet-finish"
-_BOOT = "cat > /etc/systemd/system/fleet-boot.service && systemctl daemon-reload && systemctl enable --quiet fleet-boot && systemctl restart fleet-boot"
 _REMOVE_SOURCE = "command -v docker > /dev/null || rm -f /etc/apt/sources.list.d/docker.list"
 
 
@@ -241,13 +237,13 @@ def _by_packages(facts: Facts, *, bounds: apt.Bounds) -> tuple[Step, ...]:
 
 
 def _send(robot: Robot, script: bytes) -> Step:
-    """Send the script and prove that it is complete."""
-    digest = hashlib.sha256(script).hexdigest()
-    return Step(
-        title=f"send Docker's script ({robot.docker.script})",
-        argv=("sh", "-c", _SEND, "sh", SCRIPT),
-        feed=Bytes(label=f"the script, sha256 {digest}", data=script),
-        expect=f"{digest}  {SCRIPT}",
+    """Send the script. What root runs later is what the desktop has looked at: the robot compares its digest."""
+    return whole_file.step(
+        f"send Docker's script ({robot.docker.script})",
+        SCRIPT,
+        script,
+        label=f"the script, sha256 {hashlib.sha256(script).hexdigest()}",
+        limit=60.0,
     )
 
 
@@ -284,13 +280,17 @@ def _finish(facts: Facts) -> tuple[Step, ...]:
     unit = finish_unit(facts.login.name).encode()
     if facts.docker.finish_unit in (hashlib.sha256(unit).hexdigest(), "no systemd"):
         return ()
-    return (
-        Step(
-            title="let the robot finish a swap after a power cut (fleet-finish.service)",
-            argv=as_root(facts, "sh", "-c", _FINISH),
-            feed=Bytes(label="fleet-finish.service", data=unit),
-            limit=60.0,
-        ),
+    return (_unit(facts, "fleet-finish", unit, why="let the robot finish a swap after a power cut"),)
+
+
+def _unit(facts: Facts, name: str, text: bytes, *, why: str, restart: bool = False) -> Step:
+    run = ("sh", "-c", onboard.text("systemd_unit.sh"), "systemd_unit", name)
+    how = (whole_file.digest(text), onboard.text("replace_file.sh"), *(("restart",) if restart else ()))
+    return Step(
+        title=f"{why} ({name}.service)",
+        argv=as_root(facts, *run, *how),
+        feed=Bytes(label=f"{name}.service", data=text),
+        limit=60.0,
     )
 
 
@@ -309,18 +309,10 @@ def _boot_unit(robot: Robot, facts: Facts) -> tuple[Step, ...]:
     if facts.docker.boot_unit == hashlib.sha256(unit + script).hexdigest():
         return ()
     return (
-        Step(
-            title="write what systemd runs at power-on (~/.fleet/boot.sh)",
-            argv=("sh", "-c", _WRITE, "sh", BOOT),
-            feed=Bytes(label="boot.sh", data=script),
-            limit=20.0,
+        whole_file.step(
+            "write what systemd runs at power-on (~/.fleet/boot.sh)", BOOT, script, label="boot.sh"
         ),
-        Step(
-            title="let systemd start the stacks at power-on (fleet-boot.service)",
-            argv=as_root(facts, "sh", "-c", _BOOT),
-            feed=Bytes(label="fleet-boot.service", data=unit),
-            limit=60.0,
-        ),
+        _unit(facts, "fleet-boot", unit, why="let systemd start the stacks at power-on", restart=True),
     )
 
 

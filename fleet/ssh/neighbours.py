@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+Place = tuple[str, int]
+"""An address and a port."""
+
 MAKERS = {
     **dict.fromkeys(("28:cd:c1", "2c:cf:67", "88:a2:9e", "b8:27:eb", "d8:3a:dd"), "Raspberry Pi"),
     **dict.fromkeys(("dc:a6:32", "e4:5f:01"), "Raspberry Pi"),
@@ -54,12 +57,12 @@ def swept() -> tuple[str, ...]:
     return tuple(str(host) for net in networks() for host in net.hosts())
 
 
-def greetings(addresses: Iterable[str], *, port: int = 22) -> dict[str, str]:
-    """Return the first line of each SSH server at these addresses, such as ``SSH-2.0-OpenSSH_10.0p2 Debian-7``."""
-    wanted: Sequence[str] = tuple(dict.fromkeys(addresses))
+def greetings(places: Iterable[Place]) -> dict[Place, str]:
+    """Return the first line of each SSH server at these places, such as ``SSH-2.0-OpenSSH_10.0p2 Debian-7``."""
+    wanted: Sequence[Place] = tuple(dict.fromkeys(places))
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        lines = pool.map(lambda address: _greeting(address, port), wanted)
-        return {address: line for address, line in zip(wanted, lines, strict=True) if line}
+        lines = pool.map(_greeting, wanted)
+        return {place: line for place, line in zip(wanted, lines, strict=True) if line}
 
 
 def maker(card: str) -> str:
@@ -71,8 +74,8 @@ def _own(interface: str) -> bool:
     return interface.startswith(("docker", "br-", "veth", "virbr", "lxc"))
 
 
-def _greeting(address: str, port: int) -> str:
-    with contextlib.suppress(OSError), socket.create_connection((address, port), timeout=_GREETING) as stream:
+def _greeting(place: Place) -> str:
+    with contextlib.suppress(OSError), socket.create_connection(place, timeout=_GREETING) as stream:
         stream.settimeout(_GREETING)
         line = stream.recv(255).decode(errors="replace").splitlines()
         return line[0] if line and line[0].startswith("SSH-") else ""
@@ -90,9 +93,10 @@ def _ip(*arguments: str) -> list[dict[str, Any]]:
 
 
 def resolved(host: str) -> tuple[str, ...]:
-    """Return the IPv4 addresses that the desktop finds for a name; none if it is not found."""
+    """Return the addresses that the desktop finds for a name, IPv4 first; none if it is not found."""
     try:
-        found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
-    except OSError:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
         return ()
-    return tuple(dict.fromkeys(str(address[0]) for *_, address in found))
+    ordered = sorted(found, key=lambda one: one[0] != socket.AF_INET)
+    return tuple(dict.fromkeys(str(address[0]) for *_, address in ordered))

@@ -98,7 +98,7 @@ def docker(*argv: str) -> None:
 def test_cloud_init_knows_every_key(image: str, tmp_path: Path, raspberry_pi_os: bool) -> None:
     """By its own schema, which also knows the keys that are out of date."""
     first = replace(FIRST, announces=True)
-    for name, content in cloud_init.files(first, raspberry_pi_os=raspberry_pi_os).items():
+    for name, content in cloud_init.files(first, raspberry_pi_os=raspberry_pi_os, cmdlines={}).items():
         (tmp_path / name).write_text(content)
     schema = "cloud-init schema --schema-type"
     script = f"{schema} cloud-config --config-file user-data && {schema} network-config --config-file network-config"
@@ -122,6 +122,9 @@ def test_a_card_makes_a_robot_that_is_trusted_at_its_first_contact(
 
     insert(blank, boot)
     project.well("await", "--timeout", "120")
+    assert (boot / "cmdline.txt").read_text().split("i=")[1].strip() == blank.exec(
+        "cloud-init", "query", "instance_id"
+    )
 
     public = next(line for line in project_key(project).splitlines() if blank.address in line).split()[2]
     assert public in blank.exec("cat", "/etc/ssh/ssh_host_ed25519_key.pub")
@@ -142,11 +145,28 @@ def test_a_card_makes_a_robot_that_is_trusted_at_its_first_contact(
     assert "Lab: 5 GHz" in blank.exec("sh", "-c", "cat /etc/netplan/*.yaml")
     assert "PRIVATE KEY" not in (boot / "user-data").read_text()
 
+    counts_anew(project, blank, boot)
     project.well("provision", within=300)
     project.well("build", within=300)
     project.well("ship")
     assert project.well("status", "--json").json["pi7"]["healthy"]
     assert "pi7" in blank.exec("docker", "exec", running_tick(blank), "env")
+
+
+def counts_anew(project: Project, blank: Pi, boot: Path) -> None:
+    """A card that has booted is refused; if a person wants it anew, the next boot reads it, host key and all."""
+    wifi = {"LAB_WIFI": "correct horse"}
+    words = ("card", "--hosts", "pi7", "--boot", str(boot))
+    refused = project.fab(*words, env=wifi)
+    assert (refused.code, "pi7 has booted from the card" in refused.all) == (2, True)
+    path = project.directory / "inventory.yaml"
+    path.write_text(path.read_text().replace("Europe/Berlin", "Asia/Tokyo"))
+    before = blank.exec("cat", "/etc/ssh/ssh_host_ed25519_key.pub")
+    assert project.fab(*words, "--overwrite", env=wifi).code == 0
+    docker("restart", blank.container)
+    project.well("await", "--timeout", "120")
+    assert blank.exec("readlink", "/etc/localtime").endswith("Asia/Tokyo")
+    assert blank.exec("cat", "/etc/ssh/ssh_host_ed25519_key.pub") != before
 
 
 def running_tick(pi: Pi) -> str:

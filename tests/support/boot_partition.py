@@ -40,10 +40,18 @@ UBUNTU = {
     "network-config": "version: 2\nethernets:\n  eth0:\n    dhcp4: true\n    optional: true\n",
 }
 
+UBUNTU_26 = {
+    "config.txt": "[all]\nkernel=vmlinuz\nos_prefix=current/\n[tryboot]\nos_prefix=new/\n",
+    "current/cmdline.txt": UBUNTU["cmdline.txt"],
+    **{name: UBUNTU[name] for name in ("user-data", "meta-data", "network-config")},
+}
+"""Since 25.10."""
+
 
 def boot_partition(folder: Path, files: Mapping[str, str]) -> Path:
     """A folder with these files."""
     folder.mkdir(exist_ok=True)
     for name, content in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(content)
     return folder

@@ -52,7 +52,7 @@ PURE = {
     ),
     *(f"plan.{name}" for name in ("dev_steps", "hardware", "readiness", "ship", "step", "watch")),
     *("provision.hardware", "provision.jetson"),
-    *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo"),
+    *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo", "provision.whole_file"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
     *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
     *("cli.json_output", "cli.overview", "cli.status"),

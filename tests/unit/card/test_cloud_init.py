@@ -17,7 +17,7 @@ HERE = Path("user-data")
 
 
 def user_data(first: FirstBoot = FIRST, *, raspberry_pi_os: bool = True) -> dict[str, Any]:
-    text = cloud_init.files(first, raspberry_pi_os=raspberry_pi_os)["user-data"]
+    text = cloud_init.files(first, raspberry_pi_os=raspberry_pi_os, cmdlines={})["user-data"]
     assert text.startswith("#cloud-config\n")
     found: dict[str, Any] = yaml.safe_load(text)
     return found
@@ -40,7 +40,7 @@ def test_a_robot_has_its_name_its_login_and_its_host_key() -> None:
 
 def test_the_private_key_is_last_so_that_it_can_be_cut_off() -> None:
     """What the robot does when its first boot is over leaves the rest of the file as it was."""
-    lines = cloud_init.files(FIRST, raspberry_pi_os=True)["user-data"].splitlines()
+    lines = cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={})["user-data"].splitlines()
     tail = lines[lines.index("ssh_keys:") + 1 :]
     assert all(line.startswith(" ") for line in tail)
 
@@ -63,7 +63,7 @@ def test_a_name_in_the_local_network_needs_avahi_on_ubuntu() -> None:
 
 def test_wifi_and_cable() -> None:
     """Any name of a network survives YAML; an open one has no password."""
-    text = cloud_init.files(FIRST, raspberry_pi_os=True)["network-config"]
+    text = cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={})["network-config"]
     network = yaml.safe_load(text)["network"]
     assert network["wifis"]["wlan0"] == {
         "dhcp4": True,
@@ -71,27 +71,55 @@ def test_wifi_and_cable() -> None:
         "access-points": {'Lab: "5 GHz" ß': {"password": KEY}, "Guests": {"hidden": True}},
     }
     assert network["ethernets"]["cable"]["optional"] is True
-    cable = cloud_init.files(replace(FIRST, networks=()), raspberry_pi_os=True)["network-config"]
+    cable = cloud_init.files(replace(FIRST, networks=()), raspberry_pi_os=True, cmdlines={})["network-config"]
     assert "wifis" not in yaml.safe_load(cable)["network"]
 
 
 def test_other_content_is_another_instance() -> None:
     """cloud-init sets a computer up once for each; the same content is the same one."""
-    same = {cloud_init.files(FIRST, raspberry_pi_os=True)["meta-data"] for _ in range(2)}
-    other = cloud_init.files(replace(FIRST, timezone="UTC"), raspberry_pi_os=True)["meta-data"]
+    same = {cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={})["meta-data"] for _ in range(2)}
+    other = cloud_init.files(replace(FIRST, timezone="UTC"), raspberry_pi_os=True, cmdlines={})["meta-data"]
     assert len(same) == 1
     assert other not in same
     assert yaml.safe_load(other)["instance-id"].startswith("fleet-pi7-")
 
 
+REST = "console=serial0,115200 snd_bcm2835.enable_hdmi=1 root=PARTUUID=6b6bd2ba-02 rootwait"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("ds=nocloud;i=rpi-imager-1781294579815", "ds=nocloud;i={}"),
+        ("ds=nocloud;s=/boot/firmware/;i=rpi-imager-1 quiet", "ds=nocloud;s=/boot/firmware/;i={} quiet"),
+        ("ds=nocloud;instance-id=a;h=b", "ds=nocloud;instance-id={};h=b"),
+    ],
+)
+def test_the_kernels_parameter_names_our_instance(before: str, after: str) -> None:
+    """It goes before meta-data: with the old one, a system that has booted would not read our files. All else stays."""
+    files = cloud_init.files(
+        FIRST, raspberry_pi_os=True, cmdlines={"cmdline.txt": f"{REST} {before}\n", "none": ""}
+    )
+    instance = yaml.safe_load(files["meta-data"])["instance-id"]
+    assert files["cmdline.txt"] == f"{REST} {after.format(instance)}\n"
+    again = cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={"cmdline.txt": files["cmdline.txt"]})
+    assert again == files
+
+
+@pytest.mark.parametrize("cmdline", ["", REST, f"{REST} ds=nocloud", f"{REST} xds=nocloud;i=a"])
+def test_without_that_parameter_the_kernels_line_stays(cmdline: str) -> None:
+    """Then meta-data counts."""
+    assert "cmdline.txt" not in cloud_init.files(
+        FIRST, raspberry_pi_os=True, cmdlines={"cmdline.txt": cmdline}
+    )
+
+
 def test_what_a_card_has_already_is_read_back() -> None:
-    """The host key, and whom it is for: so a second run changes nothing."""
-    text = cloud_init.files(FIRST, raspberry_pi_os=True)["user-data"]
-    assert cloud_init.prepared_for(text) == "pi7"
+    """The host key: so a second run changes nothing."""
+    text = cloud_init.files(FIRST, raspberry_pi_os=True, cmdlines={})["user-data"]
     assert cloud_init.host_key(text, path=HERE) == FIRST.host_key
 
 
 @pytest.mark.parametrize("text", ["", "#cloud-config\n", "#cloud-config\nssh_keys: none\n", "a: [", "- 1\n"])
-def test_a_card_of_somebody_else_has_neither(text: str) -> None:
-    assert cloud_init.prepared_for(text) == ""
+def test_a_card_of_somebody_else_has_none(text: str) -> None:
     assert cloud_init.host_key(text, path=HERE) is None

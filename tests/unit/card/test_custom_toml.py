@@ -33,5 +33,5 @@ def test_what_is_not_wanted_is_not_said() -> None:
 
 
 def test_a_second_network_is_lost_and_that_is_said() -> None:
-    assert custom_toml.lost(FIRST) == ("it takes one Wi-Fi network: Guests must wait",)
+    assert custom_toml.lost(FIRST) == ("this system takes one Wi-Fi network, so these are left out: Guests",)
     assert custom_toml.lost(replace(FIRST, networks=FIRST.networks[:1])) == ()

@@ -50,6 +50,13 @@ def test_a_time_zone_that_does_not_exist() -> None:
         first_boot.check_timezone("Europe/Brelin", known={"Europe/Berlin"})
 
 
+def test_whose_file_it_is() -> None:
+    """One of the first lines says so; a sentence somewhere else does not."""
+    assert first_boot.prepared_for(f"#cloud-config\n{first_boot.MARK}pi7\nhostname: x\n") == "pi7"
+    assert first_boot.prepared_for("#cloud-config\nhostname: pi7\n") == ""
+    assert first_boot.prepared_for("a\nb\nc\n" + first_boot.MARK + "pi7\n") == ""
+
+
 def test_secrets_are_not_shown() -> None:
     """Neither on purpose nor in a traceback."""
     for shown in (repr(FIRST), str(FIRST.without_secrets()), repr(FIRST.without_secrets())):

@@ -9,7 +9,7 @@ import pytest
 from fleet.card import system
 from fleet.card.system import System
 from fleet.errors import DesktopError, UsageError
-from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, boot_partition
+from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, UBUNTU_26, boot_partition
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,6 +36,14 @@ if TYPE_CHECKING:
             ),
         ),
         (
+            UBUNTU_26,
+            System(
+                kind="cloud-init",
+                raspberry_pi_os=False,
+                name="Ubuntu or another system, with cloud-init",
+            ),
+        ),
+        (
             BOOKWORM,
             System(
                 kind="custom.toml",
@@ -52,7 +60,7 @@ if TYPE_CHECKING:
             ),
         ),
     ],
-    ids=["trixie", "ubuntu", "bookworm", "bullseye"],
+    ids=["trixie", "ubuntu", "ubuntu 26.04", "bookworm", "bullseye"],
 )
 def test_the_card_tells_its_system(tmp_path: Path, files: Mapping[str, str], found: System) -> None:
     assert system.look(boot_partition(tmp_path / "boot", files)) == found
@@ -63,16 +71,23 @@ def without(files: Mapping[str, str], *names: str, **instead: str) -> dict[str, 
     return kept | {name.replace("_", "."): text for name, text in instead.items()}
 
 
+IMAGER = (
+    BOOKWORM["cmdline.txt"].strip() + " systemd.run=/boot/firstrun.sh systemd.run_success_action=reboot\n"
+)
+
+
 @pytest.mark.parametrize(
     ("files", "reason"),
     [
         (without(UBUNTU, "user-data", "meta-data"), "is unknown: it has no user-data and no meta-data"),
-        (without(BOOKWORM, cmdline_txt="root=/dev/mmcblk0p2\n"), "has booted already"),
+        (without(BOOKWORM, cmdline_txt="root=/dev/mmcblk0p2\n"), "does not read custom.toml again"),
+        (without(BULLSEYE, cmdline_txt="root=/dev/mmcblk0p2\n"), "does not read userconf.txt again"),
+        (without(BOOKWORM, cmdline_txt=IMAGER), "has settings of the Raspberry Pi Imager (firstrun.sh)"),
         (without(BULLSEYE, issue_txt="Raspberry Pi reference 2021-05-07\n"), "is too old"),
         (without(TRIXIE, "config.txt"), "is not the boot partition of a Raspberry Pi: config.txt missing"),
         ({}, "config.txt and cmdline.txt missing"),
     ],
-    ids=["unknown", "booted", "old", "no config.txt", "empty"],
+    ids=["unknown", "booted bookworm", "booted bullseye", "imager", "old", "no config.txt", "empty"],
 )
 def test_a_card_that_is_refused(tmp_path: Path, files: Mapping[str, str], reason: str) -> None:
     """The sentence has what was looked for, and the way out."""
@@ -80,6 +95,12 @@ def test_a_card_that_is_refused(tmp_path: Path, files: Mapping[str, str], reason
         system.look(boot_partition(tmp_path / "boot", files))
     assert reason in refused.value.what
     assert refused.value.cure
+
+
+def test_the_first_bullseye_without_a_default_user(tmp_path: Path) -> None:
+    """Its first boot had another program."""
+    older = {"cmdline_txt": "root=PARTUUID=1-02 quiet init=/usr/lib/raspi-config/init_resize.sh\n"}
+    assert system.look(boot_partition(tmp_path / "boot", without(BULLSEYE, **older))).kind == "userconf.txt"
 
 
 def test_a_folder_that_is_no_card(tmp_path: Path) -> None:

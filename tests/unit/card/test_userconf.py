@@ -3,13 +3,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from fleet.card import userconf
+from fleet.card.first_boot import MARK
 from tests.support.first_boots import FIRST, KEY
 
 
 def test_what_bullseye_is_told() -> None:
     """Names of networks are hexadecimal: no character of them needs quoting."""
     files = userconf.files(FIRST)
-    assert (files["ssh"], files["userconf.txt"]) == ("", "pi:$6$salt$hash\n")
+    assert (files["ssh"], files["userconf.txt"]) == (f"{MARK}pi7\n", "pi:$6$salt$hash\n")
     assert files["wpa_supplicant.conf"].splitlines()[1:] == [
         "country=DE",
         "ctrl_interface=DIR=/var/run/wpa_supplicant GROUP=netdev",

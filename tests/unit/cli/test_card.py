@@ -8,7 +8,7 @@ import yaml
 
 from fleet.cli import console
 from fleet.ssh import host_keys, known_hosts
-from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, boot_partition
+from tests.support.boot_partition import BOOKWORM, BULLSEYE, TRIXIE, UBUNTU, UBUNTU_26, boot_partition
 from tests.support.project import Project
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def test_a_card_is_prepared_once(project: Project) -> None:
     done = project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
     assert done.code == 0, done.err
     assert (
-        "Raspberry Pi OS of 2025-11-24, with cloud-init: wrote user-data, network-config, meta-data"
+        "Raspberry Pi OS of 2025-11-24, with cloud-init: wrote user-data, network-config, meta-data, cmdline.txt"
         in done.out
     )
     written = files(boot)
@@ -57,6 +57,7 @@ def test_a_card_is_prepared_once(project: Project) -> None:
     assert data["hostname"] == "pi7"
     known = known_hosts.read((project.folder / "known_hosts",))
     assert known.verdict("pi7.local", host_keys.parse(data["ssh_keys"]["ed25519_public"])) == "known"
+    assert "`fleet await --hosts pi7` says when the robot has come up" in done.err
     assert PASSPHRASE not in str(written)
     assert "PRIVATE" not in done.out + done.err
 
@@ -95,7 +96,7 @@ def test_an_older_system_takes_no_host_key(project: Project) -> None:
     boot = boot_partition(project.folder / "bootfs", BOOKWORM)
     done = project.fleet("card", "--hosts", "pi7", "--boot", "bootfs")
     assert "with custom.toml: wrote custom.toml" in done.out
-    assert "pi7: it takes one Wi-Fi network: Guests must wait" in done.err
+    assert "pi7: this system takes one Wi-Fi network, so these are left out: Guests" in done.err
     assert "this system takes no host key: run `fleet trust --hosts pi7`" in done.err
     assert set(files(boot)) - set(BOOKWORM) == {"custom.toml"}
 
@@ -112,7 +113,7 @@ def test_the_oldest_system_takes_a_password(project: Project, monkeypatch: pytes
     done = project.fleet(*words, "--password-from", "LOGIN")
     assert done.code == 0
     assert files(boot)["userconf.txt"].startswith("operator:$6$")
-    assert "it takes no SSH key" in done.err
+    assert "this system takes no SSH key" in done.err
     again = project.fleet(*words, "--password-from", "LOGIN")
     assert "unchanged" in again.out
 
@@ -128,6 +129,53 @@ def test_the_card_of_another_robot(project: Project) -> None:
     assert done.code == 0
     assert yaml.safe_load(files(boot)["user-data"])["hostname"] == "pi8"
     assert files(boot)["user-data.before-fleet"] == TRIXIE["user-data"]
+
+
+def test_a_card_that_its_robot_has_booted_from(project: Project) -> None:
+    """Its host key is only on the robot now: to record another one would make the robot a stranger."""
+    boot = boot_partition(project.folder / "bootfs", TRIXIE)
+    words = ("card", "--hosts", "pi7", "--boot", "bootfs")
+    project.fleet(*words)
+    first = files(boot)
+    (boot / "user-data").write_text(first["user-data"][: first["user-data"].index("ssh_keys:")])
+    booted, recorded = files(boot), (project.folder / "known_hosts").read_text()
+    refused = project.fleet(*words)
+    assert refused.code == 2
+    assert "pi7 has booted from the card at bootfs already" in refused.out
+    assert (files(boot), (project.folder / "known_hosts").read_text()) == (booted, recorded)
+
+    assert project.fleet(*words, "--overwrite").code == 0
+    anew = files(boot)
+    instance = yaml.safe_load(anew["meta-data"])["instance-id"]
+    assert instance not in first["meta-data"]
+    assert anew["cmdline.txt"] == TRIXIE["cmdline.txt"].replace("rpi-imager", instance)
+    assert anew["cmdline.txt.before-fleet"] == TRIXIE["cmdline.txt"]
+    assert (project.folder / "known_hosts").read_text() != recorded
+
+
+def test_the_instance_in_the_folder_of_ubuntu(project: Project) -> None:
+    """Since 25.10 the kernel's parameters are there; the Imager writes its own beside, which nobody reads."""
+    pinned = UBUNTU["cmdline.txt"].replace("\n", " ds=nocloud;i=rpi-imager-1\n")
+    boot = boot_partition(project.folder / "bootfs", UBUNTU_26 | {"current/cmdline.txt": pinned})
+    assert project.fleet("card", "--hosts", "pi7", "--boot", "bootfs").code == 0
+    instance = yaml.safe_load((boot / "meta-data").read_text())["instance-id"]
+    assert (boot / "current/cmdline.txt").read_text() == pinned.replace("rpi-imager-1", instance)
+    assert (boot / "current/cmdline.txt.before-fleet").read_text() == pinned
+
+
+@pytest.mark.parametrize("system", [BOOKWORM, BULLSEYE], ids=["bookworm", "bullseye"])
+def test_the_card_of_another_robot_with_an_older_system(
+    project: Project, monkeypatch: pytest.MonkeyPatch, system: dict[str, str]
+) -> None:
+    boot = boot_partition(project.folder / "bootfs", system)
+    monkeypatch.setenv("LOGIN", "geheim")
+    words = ("--boot", "bootfs", "--password-from", "LOGIN")
+    assert project.fleet("card", "--hosts", "pi7", *words).code == 0
+    before = files(boot)
+    refused = project.fleet("card", "--hosts", "pi8", *words)
+    assert (refused.code, files(boot)) == (2, before)
+    assert "the card at bootfs was prepared for the robot pi7" in refused.out
+    assert project.fleet("card", "--hosts", "pi8", *words, "--overwrite").code == 0
 
 
 def test_one_card_after_the_other(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,7 +86,7 @@ INVENTORY = {
     *(f"stacks[].{key}" for key in ("files", "outside", "settle", "wait")),
 }
 FOUND = {
-    *("address", "name", "maker", "system", "model"),
+    *("address", "port", "also", "name", "maker", "system", "model"),
     *("robot", "expected", "here", "key", "fingerprint"),
 }
 OUTCOME = {

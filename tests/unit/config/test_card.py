@@ -60,6 +60,32 @@ def test_what_is_wrong_has_a_line_and_a_sentence(tmp_path: Path, card: str, prob
     assert "inventory.yaml:3: robots.pi1.card" in refused.value.what
 
 
+@pytest.mark.parametrize(
+    ("written", "problem"),
+    [
+        ("12345678", "must be text, and YAML reads this as a number or a truth value; put it in quotes"),
+        ("0123.4567", "put it in quotes"),
+        ("true", "put it in quotes"),
+        ("[geheim12]", "passphrase: must be text"),
+        ("!geheim12", "put text that begins with `!` in quotes"),
+        ("*geheim12", "put text that begins with `*` in quotes"),
+        ("!geh!eim12", "not YAML"),
+        ('"\\geheim12', "not YAML"),
+        ("@geheim12", "put it in quotes"),
+        ("geheim12: 12", "quote text that holds `: `"),
+    ],
+)
+def test_a_passphrase_is_never_in_a_message(tmp_path: Path, written: str, problem: str) -> None:
+    """People send messages on, to logs and to chats."""
+    text = f"robots:\n  pi1:\n    card:\n      wifi:\n        country: DE\n        networks:\n          - name: Lab\n            passphrase: {written}\n"
+    with pytest.raises(InventoryError) as refused:
+        load(tmp_path, text)
+    assert problem in str(refused.value)
+    assert "inventory.yaml:8" in refused.value.what
+    for part in ("1234", "4567", "geh", "eim"):
+        assert part not in str(refused.value).removeprefix(str(tmp_path))
+
+
 def test_the_model_at_a_location() -> None:
     """For the names of keys that a person may have meant."""
     assert model_at(()) is Card

@@ -135,7 +135,10 @@ def test_without(path: Path) -> None:
         ),
         ("a:\n    b: 1\n  c: 2", "FILE:3: not YAML: this line is not indented like the ones it belongs to"),
         ("a: @b", "FILE:1: not YAML: text cannot begin with this character; put it in quotes"),
-        ("a: *b", "FILE:1: not YAML: found undefined alias 'b'"),
+        (
+            "a: *b",
+            "FILE:1: not YAML: an alias (`*`) without its anchor (`&`); put text that begins with `*` in quotes",
+        ),
         ("a: 1\nb: \x01", "FILE:2: a character that YAML does not allow (U+0001)"),
         (b"a: \xff", "FILE is not UTF-8 text (byte 3); save it as UTF-8"),
         ("a: 1\nb: 2\na: 3", "FILE:3: the key 'a' is already on line 1; remove one of them"),
@@ -146,8 +149,14 @@ def test_without(path: Path) -> None:
         ("? [a]\n: 1", "FILE:1: a key must be plain text"),
         ("a: &x [*x]", "FILE:1: an alias (`*`) of something that contains it"),
         ("a: {<<: 1}", "FILE:1: `<<` merges mappings only"),
-        ("a: !secret b", "FILE:1: a tag that means nothing here (!secret)"),
-        ("a: !secret [b]", "FILE:1: a tag that means nothing here (!secret)"),
+        (
+            "a: !secret b",
+            "FILE:1: a tag (`!`) that means nothing here; put text that begins with `!` in quotes",
+        ),
+        (
+            "a: !secret [b]",
+            "FILE:1: a tag (`!`) that means nothing here; put text that begins with `!` in quotes",
+        ),
         ('a: "\\0"', "FILE:1: a character that no text can hold (NUL, or half of a surrogate pair)"),
         ('"\\ud800": a', "FILE:1: a character that no text can hold (NUL, or half of a surrogate pair)"),
         ("a: " + "[" * 9999, "FILE is nested too deeply"),

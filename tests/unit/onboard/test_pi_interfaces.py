@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
@@ -73,6 +74,15 @@ def test_without_raspi_config(boot: Path, shell: str) -> None:
     )
 
 
+def test_the_folder_of_ubuntu(boot: Path) -> None:
+    """Since 25.10 the kernel reads its parameters there."""
+    (boot / "current").mkdir()
+    (boot / "cmdline.txt").rename(boot / "current/cmdline.txt")
+    assert switch_on(boot, "serial").returncode == 0
+    assert (boot / "current/cmdline.txt").read_bytes() == b"console=tty1 root=PARTUUID=1 rootwait\n"
+    assert (boot / "current/cmdline.txt.before-fleet").read_bytes() == CMDLINE
+
+
 def test_more_interfaces_later(boot: Path) -> None:
     """They join the marked lines; the copy is still that of the first time."""
     switch_on(boot, "i2c")
@@ -105,6 +115,7 @@ def test_half_of_the_marks_is_refused(boot: Path) -> None:
     assert done.returncode == 1
     assert "has one of the lines" in done.stderr
     assert (boot / "config.txt").read_bytes() == broken
+    assert not (boot.parent / "run/fleet-reboot").exists()
 
 
 def test_a_full_disk_leaves_the_old_file(boot: Path) -> None:
@@ -115,3 +126,29 @@ def test_a_full_disk_leaves_the_old_file(boot: Path) -> None:
     assert switch_on(boot, "serial").returncode == 4
     assert (boot / "cmdline.txt").read_bytes() == CMDLINE
     assert (boot / "config.txt").read_bytes() == FOUND
+
+
+def test_what_waits_for_a_reboot_is_noted_before_it_is_switched_on(boot: Path) -> None:
+    """If it is interrupted in between, nobody would know why the device is missing."""
+    tool = boot.parent / "bin" / "raspi-config"
+    tool.write_text(f"#!/bin/sh\ncp {boot.parent}/run/fleet-reboot {boot.parent}/noted\nkill -KILL $PPID\n")
+    tool.chmod(0o755)
+    assert switch_on(boot, "i2c", "spi").returncode < 0
+    assert (boot.parent / "noted").read_text().split() == ["i2c", "spi"]
+
+
+def test_copies_are_on_the_card_before_the_originals_change(boot: Path) -> None:
+    """Each rename comes between two syncs."""
+    programs = boot.parent / "bin"
+    for name in ("sync", "mv"):
+        log = f'for one; do printf " %s" "${{one##*/}}" >>{boot.parent}/log; done; echo >>{boot.parent}/log'
+        text = f'#!/bin/sh\nprintf {name} >>{boot.parent}/log\n{log}\nexec {shutil.which(name)} "$@"\n'
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    switch_on(boot, "spi")
+    kept = [
+        [f"sync {name}.before-fleet.new", f"mv {name}.before-fleet.new {name}.before-fleet", "sync boot"]
+        for name in ("config.txt", "cmdline.txt")
+    ]
+    own = ["sync config.txt.new", "mv config.txt.new config.txt", "sync boot", "sync"]
+    assert (boot.parent / "log").read_text().splitlines() == [*kept[0], *kept[1], *own]

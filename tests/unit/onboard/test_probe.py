@@ -18,6 +18,7 @@ from fleet.images.layer import Blob
 from fleet.robot.facts import Dev
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
+from tests.support.homes import own_docker
 from tests.support.robot_shell import EACH_SHELL, SHELLS
 
 if TYPE_CHECKING:
@@ -48,7 +49,12 @@ def ran(home: Path, shell: str = "sh", path: str = "") -> subprocess.CompletedPr
 
 
 def probed(home: Path, shell: str = "sh", path: str = "") -> str:
-    """What the probe says on this computer."""
+    """What the probe says on this computer, but for the stacks of other tests."""
+    if not path:
+        hidden = home.with_name(f"{home.name}-hidden")
+        hidden.mkdir(exist_ok=True)
+        own_docker(hidden)
+        path = f"{hidden}:{os.environ['PATH']}"
     return ran(home, shell, path).stdout
 
 
@@ -554,6 +560,15 @@ def test_a_raspberry_pi_is_seen(tmp_path: Path, tools: Path) -> None:
     assert seen.udev_rules == 'KERNELS=="1-1", SYMLINK+="null"'
     assert "/dev/null" in seen.devices
     assert "root" in seen.system_groups
+
+
+def test_the_kernels_parameters_of_ubuntu(tmp_path: Path, tools: Path) -> None:
+    """Since 25.10 they are in a folder, and a file beside it counts no more: here a console has the serial port."""
+    file(tmp_path, "boot/firmware/config.txt", "enable_uart=1\n")
+    file(tmp_path, "boot/firmware/cmdline.txt", "console=tty1\n")
+    assert seen_below(tmp_path, tools).hardware.interfaces == ("serial",)
+    file(tmp_path, "boot/firmware/current/cmdline.txt", "console=serial0,115200 console=tty1\n")
+    assert seen_below(tmp_path, tools).hardware.interfaces == ()
 
 
 def test_for_a_release_all_devices_are_listed(tmp_path: Path, tools: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -53,7 +54,7 @@ def test_rules_are_written_once() -> None:
     """With the very text that a person sees with --dry."""
     (step,) = hardware.steps(robot(udev=NAMES), facts())
     assert step.title == "name /dev/lidar, /dev/cam, /dev/pad (udev rules)"
-    assert step.argv[-1] == UDEV_RULES
+    assert step.argv[-3:-1] == (UDEV_RULES, hashlib.sha256(RULES.encode()).hexdigest())
     assert isinstance(step.feed, Bytes)
     assert step.feed.data.decode() == RULES
     assert step.feed.label in RULES
@@ -64,7 +65,7 @@ def test_names_that_nobody_wants_any_more_go() -> None:
     """The inventory says all names that there are."""
     (step,) = hardware.steps(PI, facts(udev_rules=RULES.strip()))
     assert step.title == "remove the names of USB devices (udev rules)"
-    assert step.feed == Bytes(label="nothing", data=b"")
+    assert (step.argv[-1], step.feed) == (UDEV_RULES, None)
 
 
 def test_somebodys_rules_are_not_touched() -> None:

@@ -18,10 +18,12 @@ PINNED = Robot(name="pi1", address="pi1.local", docker=Docker(version="27.5.1"))
         ({"raw_table": None}, None),
         ({"raw_table": False, **ORIN}, 27),
         ({"raw_table": None, **ORIN}, 27),
+        ({"raw_table": None, **ORIN, "docker_state": "ready"}, 28),
+        ({"raw_table": None, **ORIN, "docker_state": "forbidden"}, 28),
     ],
 )
 def test_a_version_that_works(seen: dict[str, object], major: int | None) -> None:
-    """The kernel has the table, or the version does not need it."""
+    """The kernel has the table, or the version does not need it, or it runs already and nothing is known against it."""
     jetson.check_version(PI, facts(**seen), major=major)
 
 

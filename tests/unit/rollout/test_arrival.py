@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.errors import DesktopError
 from fleet.rollout import arrival, sighting
 from fleet.rollout.sighting import Candidate, Sighting
 from fleet.ssh import mdns, neighbours
 from tests.support.homes import Told, program, start
+from tests.support.sshd import known_line, make_key, public_key
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from fleet.plan.outcome import Outcome
@@ -24,6 +27,15 @@ echo 'status: error'
 echo 'errors:'
 echo '	- (users-groups, group operator exists)'
 exit 1
+"""
+
+
+CUT = """\
+process=$PPID
+while read -r name <"/proc/$process/comm" && [ "${name#sshd}" = "$name" ]; do
+    process=$(awk '{ print $4 }' "/proc/$process/stat")
+done
+kill -KILL "$process"
 """
 
 
@@ -68,8 +80,45 @@ def test_a_first_boot_that_failed(sshds: Sshds) -> None:
     outcome = waited(home.server)
     assert outcome.status == "failed"
     assert outcome.reason == "cloud-init failed at its first boot: (users-groups, group operator exists)"
+    assert "`fab run --hosts pi1 -- cloud-init status --long`" in outcome.cure
+    assert "`fab card --hosts pi1`" in outcome.cure
     program(sshds.folder, "pi1", called="cloud-init", text="#!/bin/sh\nexit 2\n")
-    assert waited(home.server).summary.startswith("it is up, with warnings")
+    warned = "it is up, with warnings: `fab run --hosts pi1 -- cloud-init status --long`"
+    assert waited(home.server).summary == warned
+
+
+@pytest.mark.parametrize("restart", [CUT, "exit 143"], ids=["the link is lost", "the command is ended"])
+def test_a_robot_that_restarts_in_its_first_boot(sshds: Sshds, restart: str) -> None:
+    """Raspberry Pi OS does that: it is just not yet."""
+    home = start(sshds, "pi1")
+    once = f'#!/bin/sh\n[ -e "{home.path}/restarted" ] && exit 0\n: >"{home.path}/restarted"\n{restart}\n'
+    program(sshds.folder, "pi1", called="cloud-init", text=once)
+    outcome = waited(home.server)
+    assert (outcome.status, outcome.summary) == ("done", "it is up")
+    assert home.logins == 2
+
+
+def test_a_first_boot_that_takes_longer_than_the_wait(sshds: Sshds, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cure waits on, and does not speak of power or Wi-Fi."""
+    monkeypatch.setattr(arrival, "_LEAST", 0.5)
+    home = start(sshds, "pi1")
+    program(sshds.folder, "pi1", called="cloud-init", text="#!/bin/sh\nexec sleep 20\n")
+    outcome = waited(home.server, timeout=0.2)
+    assert outcome.status == "failed"
+    assert outcome.reason.startswith("it is up, and its first boot is not over")
+    assert "fab await --hosts pi1 --timeout" in outcome.cure
+    assert "power" not in outcome.cure
+
+
+def test_another_computer_at_its_address(sshd: Sshd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its router gave the address away: it is looked for once, and nothing is waited for."""
+    asked = []
+    monkeypatch.setattr(arrival, "elsewhere", lambda robot, **_: asked.append(robot.name))
+    other = make_key(sshd.known_hosts.parent / "other")
+    sshd.known_hosts.write_text(known_line(sshd.known_as, public_key(other)))
+    outcome = waited(sshd)
+    assert (outcome.status, asked) == ("failed", [sshd.name])
+    assert "CHANGED" in outcome.reason
 
 
 def test_a_robot_at_another_address(sshd: Sshd, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +127,7 @@ def test_a_robot_at_another_address(sshd: Sshd, monkeypatch: pytest.MonkeyPatch)
         candidate=Candidate(address="192.0.2.44"), fingerprint="", key="known", robot="pi1", expected="pi1"
     )
     monkeypatch.setattr(mdns, "addresses", lambda _: ("192.0.2.44",))
-    monkeypatch.setattr(neighbours, "greetings", lambda addresses: dict.fromkeys(addresses, "SSH-2.0"))
+    monkeypatch.setattr(neighbours, "greetings", lambda places: dict.fromkeys(places, "SSH-2.0"))
     monkeypatch.setattr(sighting, "sight", lambda *_, **__: (replace(there, robot=""), there))
     sshd.stop()
     outcome = waited(sshd)
@@ -90,3 +139,23 @@ def test_a_robot_that_was_never_trusted_is_looked_for_nowhere(sshd: Sshd, tmp_pa
     """There is no host key to know it by."""
     robot = sshd.robot(known_hosts=tmp_path / "none")
     assert arrival.elsewhere(robot, name="pi1.local") is None
+
+
+def test_it_is_looked_for_at_its_port(sshd: Sshd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if nobody can be asked by name."""
+
+    def refused(_: str) -> tuple[str, ...]:
+        raise DesktopError("no network")
+
+    monkeypatch.setattr(mdns, "addresses", refused)
+    monkeypatch.setattr(neighbours, "known", lambda: {"127.0.0.2": ""})
+    sshd.known_hosts.write_text(sshd.known_hosts.read_text().replace("127.0.0.1", "127.0.0.3"))
+    places: list[tuple[str, int]] = []
+
+    def nobody(found: Iterable[tuple[str, int]]) -> dict[tuple[str, int], str]:
+        places.extend(found)
+        return {}
+
+    monkeypatch.setattr(neighbours, "greetings", nobody)
+    arrival.elsewhere(sshd.robot().model_copy(update={"address": "127.0.0.3"}), name="pi1.local")
+    assert places == [("127.0.0.2", sshd.port)]

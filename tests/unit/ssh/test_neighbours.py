@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import socket
 import stat
 from typing import TYPE_CHECKING
 
 import pytest
 
 from fleet.ssh import neighbours
+from tests.support.sshd import free_port
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,12 +64,23 @@ def test_the_makers_of_network_cards() -> None:
 
 def test_who_speaks_ssh(sshd: Sshd) -> None:
     """Others, and nobody, are left out."""
-    found = neighbours.greetings(("127.0.0.1", "127.0.0.1"), port=sshd.port)
-    assert found.keys() == {"127.0.0.1"}
-    assert found["127.0.0.1"].startswith("SSH-2.0-OpenSSH")
-    assert neighbours.greetings(("127.0.0.1",), port=1) == {}
+    place = ("127.0.0.1", sshd.port)
+    found = neighbours.greetings((place, place, ("127.0.0.1", free_port())))
+    assert found.keys() == {place}
+    assert found[place].startswith("SSH-2.0-OpenSSH")
 
 
 def test_the_addresses_of_a_name() -> None:
     assert neighbours.resolved("127.0.0.1") == ("127.0.0.1",)
-    assert neighbours.resolved("fleet-test.invalid") == ()
+    assert neighbours.resolved("::1") == ("::1",)
+    assert neighbours.resolved("fleet-test.invalid") == neighbours.resolved("a" * 64 + ".x") == ()
+
+
+def test_ipv4_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is how people know their robots."""
+    found = [
+        (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("fd00::7", 0, 0, 0)),
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("10.0.0.7", 0)),
+    ]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    assert neighbours.resolved("pi7.local") == ("10.0.0.7", "fd00::7")
