@@ -353,7 +353,8 @@ run() { # RELEASE
         watch
         return
     fi
-    why=$(printf '%s\n' "$output" | sed -n '/^[^ ]/p' | tail -n 12) # its progress is indented
+    # Its progress is indented; and a warning is not why.
+    why=$(printf '%s\n' "$output" | sed -n '/^time=[^ ]* level=warning/d; /^[^ ]/p' | tail -n 12)
     [ "$code" != 124 ] || why="Compose did not end within $limit s: $(printf '%s\n' "$output" | tail -n 1)"
     [ -n "$why" ] || why='Compose could not start it'
     return 1

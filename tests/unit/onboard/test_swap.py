@@ -633,6 +633,17 @@ def test_data_of_a_container_survives_everything(robot: Robot, owner: int) -> No
         assert (robot.data / "maps/house").stat().st_uid == owner
 
 
+def test_a_warning_of_compose_is_not_the_reason(robot: Robot) -> None:
+    """What stands in the table of all robots is the error."""
+    robot.release("aaa", more={"devices": ["/dev/nowhere"]})
+    path = robot.folder / "releases/aaa/compose.yaml"
+    path.write_text(json.dumps({"version": "3", **json.loads(path.read_text())}))
+    done = robot.swap("aaa")
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error response from daemon: error gathering device information")
+    assert "obsolete" not in done.stderr
+
+
 def test_a_data_folder_that_cannot_be_made(robot: Robot) -> None:
     """Why is said, the one before runs on, and nothing was removed."""
     robot.release("one")
