@@ -255,7 +255,7 @@ def pull(image: str, platform: str, *, policy: str) -> list[Command]:
         only_missing=policy in ("missing", "if_not_present", "build"),
     )
     tag = Command(
-        title=f"name it {reference}",
+        title=f"tag {reference}",
         argv=("docker", "tag", image, reference),
         reference=reference,
         platform=platform,

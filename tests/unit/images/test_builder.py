@@ -182,7 +182,7 @@ def test_an_image_that_is_here_will_do_where_no_registry_answers(local: str, tmp
 def test_no_registry_is_asked_if_the_person_says_so(local: str, tmp_path: Path, policy: str) -> None:
     """Compose's ``pull_policy``."""
     heard = pulled(local, tmp_path, policy=policy)
-    assert (heard.notes, heard.ended) == ([], [f"{tagged_for(local, desktop_platform())} name"])
+    assert (heard.notes, heard.ended) == ([], [f"{tagged_for(local, desktop_platform())} tag"])
 
 
 @pytest.mark.usefixtures("desktop")
