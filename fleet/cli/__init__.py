@@ -8,6 +8,7 @@ from fleet.cli import (
     build,
     bundle,
     card,
+    ci,
     completions,
     console,
     deploy,
@@ -71,6 +72,7 @@ ns = verb.collection(
     ),
     default=help_,
     lab=lab.VERBS,
+    ci=ci.VERBS,
 )
 
 
