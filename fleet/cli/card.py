@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fleet.card.system import System
     from fleet.config import card as values
     from fleet.config.inventory import Robot
+    from fleet.plan.outcome import Status
     from fleet.ssh.openssh_config import Destination
 
 _PLACES = ("/media/*/*", "/run/media/*/*", "/media/*", "/mnt/*", "/mnt")
@@ -142,9 +143,8 @@ class _Desk:
         if not self.dry:
             for note in notes:
                 self.screen.say(program.typed(f"{robot.name}: {note}"))
-        return Outcome(
-            robot=robot.name, status="done" if done and not self.dry else "unchanged", summary=summary
-        )
+        status: Status = "unchanged" if not done else "planned" if self.dry else "done"
+        return Outcome(robot=robot.name, status=status, summary=summary)
 
     def _first_boot(
         self, robot: Robot, destination: Destination, found: System, there: Prepared

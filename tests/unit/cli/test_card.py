@@ -86,6 +86,7 @@ def test_dry_shows_the_files_and_writes_none(project: Project) -> None:
     assert "pi7: bootfs/network-config" in done.out
     assert "password: (hidden)" in done.out
     assert "ed25519_private: (hidden)" in done.out
+    assert "pi7  planned " in done.out
     assert "would write user-data, network-config, meta-data; would record a new host key" in done.out
     assert files(boot) == before
     assert not (project.folder / "known_hosts").exists()
