@@ -19,6 +19,7 @@ from fleet.plan import containers
 from fleet.rollout import listening, stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
+from fleet.ros import listen_ros2
 from fleet.ssh import openssh_config
 
 if TYPE_CHECKING:
@@ -274,12 +275,14 @@ def topics(
         )
         for name, one in rows:
             for reason in one.unmatched:
-                _note(screen, name, f"a subscriber of {one.name} gets no message: {reason}")
+                screen.say(f"{name}: {listen_ros2.unmatched(one.name, name, reason)}")
     return screen.problems(outcomes)
 
 
 def _topic_row(robot: str, topic: Topic, *, rate: bool) -> list[tuple[str, str]]:
-    measured = ["?" if topic.rate is None else f"{topic.rate:.3g}"] * rate
+    # A topic with a message in ten seconds may have had none in this time.
+    shown = "?" if topic.rate is None else f"{topic.rate:.3g}" if topic.rate else f"<{1 / MEASURED:g}"
+    measured = [shown] * rate
     cells = (topic.name, topic.type, str(topic.publishers), str(topic.subscribers), topic.quality, *measured)
     return [(robot, "bold"), *((cell, "") for cell in cells)]
 
