@@ -224,6 +224,7 @@ def listen(
     address, a closed port, or a topic without messages; for ROS 2 also another domain, a container with a network of its
     own, a firewall, and the settings of discovery. Subscribers on the robot that do not match the publisher are named.
     """
+    _some_time(timeout)
     if via not in ("", "robot"):
         raise UsageError(f"--via {via} is not possible", cure="say --via robot, or leave it out")
     screen, robots = Screen(), select(inventory, hosts)[1]
@@ -239,6 +240,13 @@ def listen(
     )
     notes = partial(_note, screen)
     return screen.problems(listening.hear(robots, request, show=show, notes=notes, progress=NoProgress()))
+
+
+def _some_time(timeout: int) -> None:
+    if timeout < 1:
+        raise UsageError(
+            "--timeout 0 leaves no time to find anything", cure="say --timeout 10, or leave it out"
+        )
 
 
 def _note(screen: Screen, robot: str, text: str) -> None:
@@ -261,6 +269,7 @@ def topics(
     quality of service that their publishers offer; subscribers that do not match are named. If no topics are found, the
     reason is shown, as by `fab listen`.
     """
+    _some_time(timeout)
     screen, robots = Screen(), select(inventory, hosts)[1]
     found, outcomes = topic_list.look(
         robots, timeout=timeout, measure=MEASURED if rate else 0, progress=NoProgress()

@@ -1,8 +1,8 @@
 #!/bin/sh
 # Listen to a topic in a running container that can. Standard input: open as long as somebody listens.
 #
-# Arguments: VARIABLE PROGRAM ARGUMENT... Containers with VARIABLE (ROS_MASTER_URI=http://localhost:11311) come first: they see
-# what the inventory means. PROGRAM is Python source, for the container's Python: fleet/ros/ros2_check.py or tcpros.py.
+# Arguments: VARIABLE PROGRAM ARGUMENT... Containers with VARIABLE (ROS_MASTER_URI=http://localhost:11311) and the host's network
+# come first: they see what the inventory means. PROGRAM is Python source, for the container's Python: fleet/ros/ros2_check.py or tcpros.py.
 # `== CONTAINER` comes before what the program prints. If it ends with 3 (it cannot listen there) or 4 (nobody publishes the
 # topic there), the next container is tried, but for those that see the same as one with 4. Any other code is the end.
 # At the end, the code is 4 or 3, and a last `== CONTAINER` says whose reason counts: the first with 4, or else with 3.
@@ -19,8 +19,13 @@ sight() {
 
 first='' others=''
 for container in $(docker ps --quiet); do
-    if sight "$container" | grep -qxF -e "$variable"; then first="$first $container"; else others="$others $container"; fi
+    if sight "$container" | grep -cxF -e "network=host" -e "$variable" | grep -qx 2; then
+        first="$first $container"
+    else
+        others="$others $container"
+    fi
 done
+[ -n "$first$others" ] || echo 'none is running'
 cannot='' unpublished='' seen=''
 for container in $first $others; do
     docker exec "$container" python3 -c 'import sys' </dev/null >/dev/null 2>&1 || continue

@@ -100,7 +100,7 @@ class Heard:
         if code == _CANNOT:
             lacks = "none has rclpy" if robot.ros.version == 2 else "none has Python 3"
             return NotReady(
-                f"no running container of {robot.name} can listen: {reason.removeprefix(f'{topic}: ') or lacks}",
+                f"no container of {robot.name} can listen: {reason.removeprefix(f'{topic}: ') or lacks}",
                 cure=status,
             )
         if not self._container:

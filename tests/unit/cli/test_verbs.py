@@ -133,6 +133,13 @@ BAD = [
     (("run", "--hosts", "pi1", "--", "exit 7"), 1, "pi1: ended with code 7"),
     (("topics", "--hosts", "pi1"), 1, "pi1: no ROS master listens at"),
     (("listen", "--hosts", "pi1", "--count", "1"), 1, "pi1: no ROS master listens at"),
+    (
+        ("listen", "--timeout", "0"),
+        2,
+        "--timeout 0 leaves no time to find anything\n  cure: say --timeout 10, or",
+    ),
+    (("topics", "--timeout", "0"), 2, "--timeout 0 leaves no time"),
+    (("listen", "--via", "pi1"), 2, "--via pi1 is not possible\n  cure: say --via robot, or leave it out"),
     (("start", "--hosts", "away"), 1, "1 unreachable"),
 ]
 

@@ -71,8 +71,8 @@ def test_the_first_that_can(home: Path) -> None:
 
 def test_containers_that_see_what_the_inventory_means_come_first(home: Path) -> None:
     """Another one may have a master of its own, with the same topic."""
-    assert tried(home, "good wanted-good") == (0, ["wanted-good"])
-    assert tried(home, "good wanted-bare") == (0, ["wanted-bare", "good"])
+    assert tried(home, "good good-host wanted-good wanted-good-host") == (0, ["wanted-good-host"])
+    assert tried(home, "good wanted-bare-host") == (0, ["wanted-bare-host", "good"])
 
 
 def test_a_topic_that_nobody_publishes_there(home: Path) -> None:

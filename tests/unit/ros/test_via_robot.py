@@ -139,9 +139,9 @@ def test_reasons() -> None:
     for ros, lacks in ((Ros(version=2), "rclpy"), (Ros(), "Python 3")):
         said = failure(b"", code=3, robot=ROBOT.model_copy(update={"ros": ros}))
         assert isinstance(said, NotReady)
-        assert said.what == f"no running container of pi1 can listen: none has {lacks}"
+        assert said.what == f"no container of pi1 can listen: none has {lacks}"
     said = failure(b"== a\n/time: no connection to localhost port 11311\n== a\n", code=3)
-    assert said.what == "no running container of pi1 can listen: no connection to localhost port 11311"
+    assert said.what == "no container of pi1 can listen: no connection to localhost port 11311"
     said = failure(b"", code=1, errors="permission denied while trying to connect")
     assert said.what == "the containers of pi1 cannot be asked: permission denied while trying to connect"
     assert "code 137" in failure(b"== a\n", code=137).what
