@@ -5,7 +5,6 @@ import os
 import socket
 import struct
 import time
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -244,12 +243,13 @@ def test_messages_are_stamped_when_they_arrive(peer: Peer) -> None:
     on_robot = OnRobot()
     arriving = listen_ros2.messages(robot(peer.domain), "/chatter", timeout=5, on_robot=on_robot)
     with contextlib.closing(arriving):
-        found = [next(arriving)]
-        time.sleep(0.8)
-        found += [next(arriving) for _ in range(6)]
-    for first, second in pairwise(found):
-        assert 0.02 < second.at - first.at < 0.3
-        assert 0.02 < second.monotonic - first.monotonic < 0.3
+        next(arriving)
+        time.sleep(1)
+        woke, woke_monotonic = time.time(), time.monotonic()
+        second = next(arriving)
+    # It was sent 0.05 s after the first; a computer that does other things may take longer.
+    assert second.at < woke - 0.1
+    assert second.monotonic < woke_monotonic - 0.1
 
 
 def test_subscribers_are_judged_when_all_are_known(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
