@@ -92,7 +92,7 @@ def listen(topic: str, *, timeout: float, every: bool, on_message: Callable[[Tak
     try:
         rclpy = importlib.import_module("rclpy")
     except ImportError as problem:
-        raise NoRos(f"this container has no rclpy ({problem})") from problem
+        raise NoRos(f"rclpy cannot be imported ({problem})") from problem
     rclpy.init(args=[])
     try:
         node = rclpy.create_node(NODE, start_parameter_services=False, enable_rosout=False)
