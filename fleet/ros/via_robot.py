@@ -32,6 +32,9 @@ LARGEST_LINE = 96 << 20
 """Bytes of a line: a message of 64 MiB and more. A longer one ends the connection."""
 
 _PROGRAMS = {1: "tcpros.py", 2: "ros2_check.py"}
+MOST_CONTAINERS, LONGEST_NAME = 1000, 256
+"""Of a robot, whose reasons are kept; and characters of a container's name: Docker allows 255 bytes at most."""
+
 _CANNOT = 3  # what hear.sh ends with
 
 
@@ -70,14 +73,14 @@ class Heard:
 
     def _line(self, line: bytes) -> None:
         if line.startswith(b"== "):
-            self._container = line[3:].decode(errors="replace")
+            self._container = line[3:].decode(errors="replace")[:LONGEST_NAME]
         elif line.startswith(b"{"):
             message = self._message(line)
             if not self._told:
                 self._told = True
                 self._on_container(self._container)
             self._on_message(message)
-        elif line.strip():
+        elif line.strip() and len(self._reasons) < MOST_CONTAINERS:
             self._reasons[self._container] = line.decode(errors="replace")[:500]
 
     def _message(self, line: bytes) -> Message:

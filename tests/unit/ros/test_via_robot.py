@@ -145,3 +145,13 @@ def test_reasons() -> None:
     said = failure(b"", code=1, errors="permission denied while trying to connect")
     assert said.what == "the containers of pi1 cannot be asked: permission denied while trying to connect"
     assert "code 137" in failure(b"== a\n", code=137).what
+
+
+def test_a_robot_that_names_containers_without_end() -> None:
+    """What is kept of them has a limit."""
+    ear = Ear()
+    for number in range(3000):
+        ear.heard.on_output(b"== " + str(number).encode() * 2000 + b"\nno\n")
+    kept = ear.heard._reasons  # noqa: SLF001
+    assert len(kept) == via_robot.MOST_CONTAINERS
+    assert max(map(len, kept)) == via_robot.LONGEST_NAME
