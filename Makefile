@@ -110,7 +110,7 @@ bench-transfer: testbed env ## measure ships over an emulated Wi-Fi beside the u
 bench-change: testbed env ## measure one changed line until 1 and 20 robots run it, beside the usual ways (under 40 minutes)
 	@$(VENV)/bin/python -m bench change $(BENCH)
 
-bench-build: desktop env ## measure cross-compiling beside emulation, docs/benchmarks-build.md (under an hour)
+bench-build: desktop env ## measure cross-compiling beside emulation, docs/benchmarks-build.md (under 25 minutes)
 	@$(VENV)/bin/python -m bench build
 
 bench-dev: testbed env ## save a file 20 times, and measure when three virtual Pis publish the new text (3 minutes)

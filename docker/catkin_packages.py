@@ -14,6 +14,7 @@ import hashlib
 import os
 import re
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,13 @@ CONDITIONS = {"ROS_VERSION": "1", "ROS_PYTHON_VERSION": "3", "ROS_DISTRO": "noet
 
 TOOLS = ("roslaunch", "rosmaster", "rosnode", "rosparam", "rostopic")
 """Dependencies of each image: what starts nodes, and what people look around with."""
+
+FAILURES = {
+    "--build": "does not compile",
+    "--install": "cannot be installed: an install(...) of its CMakeLists.txt fails",
+    "-S": "cannot be configured by CMake",
+}
+"""What it means if CMake fails, by an option that it was called with."""
 
 SHOWN = 8
 """Lines of a compiler's first error that are shown at the end."""
@@ -146,8 +154,12 @@ def names(file: Path) -> None:
     """Print the packages for a file that `needs` wrote."""
     import yaml  # noqa: PLC0415 - only this command needs it
 
-    with (HERE / "rosdep.yaml").open(encoding="utf-8") as text:
-        table = {key: value["debian"] for key, value in yaml.safe_load(text).items()}
+    try:
+        text = (HERE / "rosdep.yaml").read_text(encoding="utf-8")
+        table = {key: [str(name) for name in value["debian"]] for key, value in yaml.safe_load(text).items()}
+    except (yaml.YAMLError, AttributeError, TypeError, LookupError) as problem:
+        said = " ".join(str(problem).split())
+        fail(f"docker/rosdep.yaml cannot be read: {said}", cure="each line is KEY: {debian: [PACKAGE]}")
     distribution = next((path.name for path in sorted(Path("/opt/ros").glob("*"))), "")
     keys = dict(line.split("\t") for line in file.read_text().splitlines())
     asked = {one for key in keys for one in candidates(key, table=table, distribution=distribution)}
@@ -203,15 +215,43 @@ def toolchain(triplet: str) -> str:
     """Return a digest of all that is compiled with and against: another one begins with empty folders."""
     version = subprocess.run((f"{triplet}-g++", "-v"), stderr=subprocess.PIPE, text=True, check=True).stderr
     own = (HERE / "toolchain.cmake").read_text() + Path(__file__).read_text(encoding="utf-8")
-    unpacked = digest(SYSROOT / "var/lib/dpkg/status.d")
-    return hashlib.sha256(f"{version}{own}{unpacked}".encode()).hexdigest()
+    return hashlib.sha256(f"{version}{own}{headers(SYSROOT)}".encode()).hexdigest()
+
+
+def headers(sysroot: Path) -> str:
+    """Return a digest of what may be in a sysroot: the packages of its base, those unpacked over it, and other files.
+
+    A ROS that its image has compiled is in no list of packages: the names, sizes and times of its files count.
+    """
+    dpkg = sysroot / "var/lib/dpkg"
+    found = hashlib.sha256(f"{_read(dpkg / 'status')}{digest(dpkg / 'status.d')}".encode())
+    for top in ("opt", "usr/local"):
+        for path in sorted((sysroot / top).rglob("*")):
+            about = path.lstat()
+            if not stat.S_ISDIR(about.st_mode):
+                found.update(
+                    f"{path.relative_to(sysroot)}\0{about.st_size}\0{int(about.st_mtime)}\0".encode()
+                )
+    return found.hexdigest()
+
+
+def compiled_with(package: Package, own: dict[str, Package]) -> set[str]:
+    """Return the packages of the folder whose files a package is compiled with: those it needs, and what they export."""
+    found: set[str] = set()
+    left = [*package.build_depends, *package.buildtool_depends]
+    while left:
+        depend = left.pop()
+        if depend.evaluated_condition and depend.name in own and depend.name not in found:
+            found.add(depend.name)
+            left += own[depend.name].build_export_depends + own[depend.name].buildtool_export_depends
+    return found
 
 
 class Builder:
     """Builds packages for a target, with what the cache has of them."""
 
-    def __init__(self, *, triplet: str, cache: Path) -> None:
-        self._cache = cache
+    def __init__(self, own: dict[str, Package], *, triplet: str, cache: Path) -> None:
+        self._own, self._cache = own, cache
         self._made = toolchain(triplet)
         self._digests: dict[str, str] = {}
         python = ":".join(str(path) for path in sorted(SYSROOT.glob("**/python3/dist-packages")))
@@ -226,9 +266,8 @@ class Builder:
             self._build(source, package, place)
 
     def _build(self, source: Path, package: Package, place: Path) -> None:
-        below = {one.name for one in (*package.build_depends, *package.buildtool_depends)}
-        own = [self._digests[name] for name in sorted(below & {*self._digests})]
-        is_now = hashlib.sha256(" ".join((self._made, digest(source), *own)).encode()).hexdigest()
+        below = [self._digests[name] for name in sorted(compiled_with(package, self._own))]
+        is_now = hashlib.sha256(" ".join((self._made, digest(source), *below)).encode()).hexdigest()
         self._digests[package.name] = is_now
         stamp, made = place / "stamp", place / "toolchain"
         if _read(made) != self._made:
@@ -265,6 +304,7 @@ class Builder:
         """Run a command and show its output. If it fails, its first error comes again, at the end."""
         done = subprocess.run(
             command,
+            cwd=str(place),  # CMake shortens paths by it
             env=self._environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -276,7 +316,7 @@ class Builder:
         sys.stdout.write(output)
         sys.stdout.flush()
         if done.returncode:
-            what = "does not compile" if "--build" in command else "cannot be configured by CMake"
+            what = next(what for option, what in FAILURES.items() if option in command)
             # Empty lines, because `fab build` shows the last 12 of a step: the error, and nothing of what make says.
             sys.stdout.write("\n" * 12)
             fail("\n".join((f"{name} {what}:", *first_error(output))))
@@ -351,21 +391,35 @@ def libraries(top: Path, triplet: str) -> set[str]:
     return found
 
 
+def ordered(sources: Path) -> list[tuple[str | None, Package]]:
+    """Return the packages by their paths, in the order of their dependencies.
+
+    catkin_pkg takes the variables of conditions from the environment. The nodes' own CMake must not see them.
+    """
+    before = dict(os.environ)
+    os.environ.update(CONDITIONS)
+    try:
+        found: list[tuple[str | None, Package]] = topological_order(str(sources))
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    return found
+
+
 def build(sources: Path, out: Path) -> None:
     """Build the packages in the order of their dependencies."""
     architecture = Path("/architecture").read_text().strip()
     triplet = TRIPLETS[architecture]
     link_paths(triplet)
-    order = topological_order(str(sources))
+    order = ordered(sources)
     if order and order[-1][0] is None:
         fail(f"{folder()}: packages depend on each other in a circle: {order[-1][1]}")
-    packages(sources)
-    builder = Builder(
-        triplet=triplet, cache=Path("/cache") / os.environ.get("CACHE", "packages") / architecture
-    )
+    found = packages(sources)
+    own = {package.name: package for package in found.values()}
+    cache = Path("/cache") / os.environ.get("CACHE", "packages") / architecture
+    builder = Builder(own, triplet=triplet, cache=cache)
     for path, package in order:
-        package.evaluate_conditions(CONDITIONS)
-        builder.build(sources / path, package)
+        builder.build(sources / path, own[package.name])
     Path("/libraries").write_text("".join(f"{name}\n" for name in sorted(libraries(PREFIX, triplet))))
     shutil.copytree(str(PREFIX.resolve()), str(out / PREFIX.relative_to("/")), symlinks=True)
 

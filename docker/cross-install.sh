@@ -4,7 +4,7 @@
 # Unpacks Debian packages of any architecture, and what they depend on, into the directory TARGET, without running
 # anything of that architecture. BASE holds etc/os-release and var/lib/dpkg/status of the image that TARGET will be
 # laid over: what that image has already is not fetched again. Its etc/apt says where packages come from, if it is
-# there. Maintainer scripts do not run; what matters of them for Python packages, the byte-compiling, is done here.
+# there. Maintainer scripts do not run; what matters of them is done here: byte-compiling, alternatives, certificates.
 #
 # --development: TARGET is a sysroot, which holds BASE already. Headers stay, and TARGET/unpacked/PACKAGE lists the files.
 # --keys FILE: more packages, as dependencies of package.xml; catkin_packages.py knows what Debian calls them.
@@ -69,7 +69,13 @@ if ! apt-get -q update 2>"$work/problems"; then
     apt-get -q update
 fi
 named=
-if [ -n "$keys" ]; then named=$(python3 /catkin_packages.py names "$keys"); fi
+if [ -n "$keys" ]; then
+    # What it prints is a list of packages, or the sentence why there is none.
+    named=$(python3 /catkin_packages.py names "$keys") || {
+        echo "$named"
+        exit 1
+    }
+fi
 # One word per package.
 # shellcheck disable=SC2086
 apt-get -q --yes --download-only install "$@" $named
@@ -90,6 +96,31 @@ for package in "$work"/archives/*.deb; do
     # Where scanners look for packages that dpkg did not configure itself.
     dpkg-deb --field "$package" >"$target/var/lib/dpkg/status.d/$name"
 done
+
+# What `update-alternatives --install LINK NAME PATH PRIORITY --slave LINK NAME PATH` would link, the highest priority first:
+# libblas.so.3 and liblapack.so.3 have no other name. A link that is there stays.
+for package in "$work"/archives/*.deb; do
+    [ -e "$package" ] || continue
+    dpkg-deb --info "$package" postinst 2>/dev/null |
+        sed -e ':join' -e '/\\$/{' -e N -e 's/\\\n/ /' -e 'b join' -e '}' |
+        awk '/update-alternatives .*--install/ {
+            for (i = 1; i <= NF; i++) {
+                if ($i == "--install") priority = $(i + 4)
+                if ($i == "--install" || $i == "--slave") print priority, $(i + 1), $(i + 3)
+            }
+        }'
+done | sort -rn | while read -r _ link path; do
+    if [ -e "$target$path" ] && [ ! -e "$target$link" ] && [ ! -L "$target$link" ]; then
+        mkdir -p "$target${link%/*}"
+        ln -s --relative "$target$path" "$target$link"
+    fi
+done
+# What update-ca-certificates collects. Without it, no program trusts a server.
+authorities=$target/etc/ssl/certs/ca-certificates.crt
+if [ -d "$target/usr/share/ca-certificates" ] && [ ! -e "$authorities" ]; then
+    mkdir -p "${authorities%/*}"
+    find "$target/usr/share/ca-certificates" -name '*.crt' | sort | xargs cat >"$authorities"
+fi
 rm -rf "$work"
 if [ -n "$development" ]; then
     rm -f "$work.began"

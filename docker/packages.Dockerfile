@@ -43,7 +43,8 @@ RUN python3 /catkin_packages.py needs /src /needs
 FROM tools AS sysroot
 COPY --from=run-base / /sysroot
 COPY --from=needs /needs/build /needs/
-RUN /cross-install.sh --development --keys /needs/build "$(cat /architecture)" /sysroot /sysroot
+# libc6-dev: not every package names something that needs it, and catkin looks for librt in each of them.
+RUN /cross-install.sh --development --keys /needs/build "$(cat /architecture)" /sysroot /sysroot libc6-dev
 
 
 # The cache holds what was compiled before: only packages that changed are compiled again. Another name of CACHE begins

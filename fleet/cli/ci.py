@@ -24,7 +24,7 @@ _INSTALL = "what pip installs fleet from in CI: a git address with a commit, or 
 def github(
     install: str = "", branch: str = "main", hosts: str = "all", dry: bool = False, inventory: str = ""
 ) -> None:
-    """Write a GitHub workflow that builds the images and keeps a bundle.
+    """Write a GitHub workflow that builds and keeps a bundle.
 
     Each push to the branch is built on GitHub's computers, by the commands of `fab ci.shell`, and kept as an artifact for
     7 days: `gh run download --name bundle`, then `fab ship --from bundle.tar` ships it, without building here. Pull
@@ -44,7 +44,7 @@ def github(
 
 @verb({"install": _INSTALL}, looks=True)
 def shell(install: str = "", hosts: str = "all", inventory: str = "") -> None:
-    """Print a script that builds the images and writes a bundle, for any CI.
+    """Print a script for any CI that writes a bundle.
 
     `fab ci.shell > build.sh`: it checks the inventory, builds the images, and writes bundle.tar. `fab ship --from
     bundle.tar` ships it, on any computer that has the inventory.

@@ -54,7 +54,7 @@ class Measured:
         """Take in a message. Raises `NotAsPlanned` if it has no stamp and the delay is wanted."""
         meter = self._meters.setdefault(robot, Meter())
         delay = self._age(message, clocks) if self._delay else None
-        report = meter.add(at=message.at, size=message.size, delay=delay)
+        report = meter.add(at=message.monotonic, size=message.size, delay=delay)
         if report:
             self._on_report(robot, report, clocks)
         return report is not None

@@ -19,6 +19,7 @@ from fleet.plan import containers
 from fleet.rollout import listening, stream, topic_list
 from fleet.rollout.observe import keep_observing, observe
 from fleet.rollout.progress import NoProgress
+from fleet.ros import listen_ros2
 from fleet.ssh import openssh_config
 
 if TYPE_CHECKING:
@@ -223,6 +224,7 @@ def listen(
     address, a closed port, or a topic without messages; for ROS 2 also another domain, a container with a network of its
     own, a firewall, and the settings of discovery. Subscribers on the robot that do not match the publisher are named.
     """
+    _some_time(timeout)
     if via not in ("", "robot"):
         raise UsageError(f"--via {via} is not possible", cure="say --via robot, or leave it out")
     screen, robots = Screen(), select(inventory, hosts)[1]
@@ -238,6 +240,13 @@ def listen(
     )
     notes = partial(_note, screen)
     return screen.problems(listening.hear(robots, request, show=show, notes=notes, progress=NoProgress()))
+
+
+def _some_time(timeout: int) -> None:
+    if timeout < 1:
+        raise UsageError(
+            "--timeout 0 leaves no time to find anything", cure="say --timeout 10, or leave it out"
+        )
 
 
 def _note(screen: Screen, robot: str, text: str) -> None:
@@ -260,6 +269,7 @@ def topics(
     quality of service that their publishers offer; subscribers that do not match are named. If no topics are found, the
     reason is shown, as by `fab listen`.
     """
+    _some_time(timeout)
     screen, robots = Screen(), select(inventory, hosts)[1]
     found, outcomes = topic_list.look(
         robots, timeout=timeout, measure=MEASURED if rate else 0, progress=NoProgress()
@@ -274,12 +284,14 @@ def topics(
         )
         for name, one in rows:
             for reason in one.unmatched:
-                _note(screen, name, f"a subscriber of {one.name} gets no message: {reason}")
+                screen.say(f"{name}: {listen_ros2.unmatched(one.name, name, reason)}")
     return screen.problems(outcomes)
 
 
 def _topic_row(robot: str, topic: Topic, *, rate: bool) -> list[tuple[str, str]]:
-    measured = ["?" if topic.rate is None else f"{topic.rate:.3g}"] * rate
+    # A topic with a message in ten seconds may have had none in this time.
+    shown = "?" if topic.rate is None else f"{topic.rate:.3g}" if topic.rate else f"<{1 / MEASURED:g}"
+    measured = [shown] * rate
     cells = (topic.name, topic.type, str(topic.publishers), str(topic.subscribers), topic.quality, *measured)
     return [(robot, "bold"), *((cell, "") for cell in cells)]
 

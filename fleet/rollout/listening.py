@@ -10,6 +10,7 @@ import re
 import time
 from contextlib import closing
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 from fleet.errors import NotAsPlanned
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 QUESTIONS = 5
 """How often a robot is asked for its time: the shortest question counts."""
+
+TYPES = 16
+"""Definitions of the types of a topic that are kept; a topic has one, or two while its publisher is replaced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +126,11 @@ class _Ear:
 
     def _reader(self, topic: str) -> via_robot.Read:
         types = listen_ros2.Types(topic, self._on_robot)
+        reader = lru_cache(TYPES)(partial(listen.reader, topic))
 
         def read(kind: str, definition: str, data: bytes) -> Mapping[str, Value]:
             if self._robot.ros.version == 1:
-                return listen.reader(topic, kind, definition)(data)
+                return reader(kind, definition)(data)
             return types.read(kind, data)
 
         return read

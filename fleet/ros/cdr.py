@@ -40,7 +40,7 @@ _FORMATS = {
     "float64": "d",
 }
 _BUILT_IN = {*_FORMATS, "string"}
-_LINE = re.compile(r"([A-Za-z][\w/]*)(<=\d+)?(\[(<=)?(\d*)\])?\s+([A-Za-z]\w*)\b\s*(.*)")
+_LINE = re.compile(r"([A-Za-z][\w/]*)(<=\d+)?(\[(<=)?(\d{0,9})\])?\s+([A-Za-z]\w*)\b\s*(.*)")
 _BIG, _LITTLE, _BIG_2, _LITTLE_2 = b"\0\0", b"\0\1", b"\0\6", b"\0\7"
 _LARGEST_ARRAY = 100_000_000  # of a fixed length; more is a mistake of the definition
 

@@ -59,11 +59,12 @@ def _from_one_publisher(robot: Robot, name: str, *, timeout: float) -> Iterator[
         try:
             while True:
                 data = stream.read(timeout)
-                yield Message(at=time.time(), size=len(data), read=partial(read, data))
+                now = {"at": time.time(), "monotonic": time.monotonic()}
+                yield Message(**now, size=len(data), read=partial(read, data))
         except tcpros.Silent as problem:
             raise TimedOut(
-                f"{name} was silent for {timeout:g} s: its publisher accepts subscribers but sends no message",
-                cure=f"`fab logs --hosts {robot.name}` shows what the node does",
+                f"{name} was silent for {timeout:g} s: its publisher took the subscription and sent nothing in that time",
+                cure=f"`fab logs --hosts {robot.name}` shows what the node does; a slower topic needs a longer --timeout",
             ) from problem
         except tcpros.GraphError as problem:
             raise LinkLost(

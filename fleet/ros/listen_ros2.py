@@ -11,10 +11,11 @@ import contextlib
 import os
 import select
 import socket
+import struct
 import sys
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from fleet import onboard
 from fleet.errors import NotAsPlanned, Unreachable
@@ -50,7 +51,20 @@ ROOM = 32 << 20
 HEARD_BY_NOW = 10.0
 """Seconds: Fast DDS announces itself by multicast every 3 s. Other middlewares may take longer, so they are not judged."""
 
+SETTLED = 2.0
+"""Seconds without a new publisher or subscriber after which all are known: participants announce themselves several times then."""
+
 _FORCE_ROOM = 33  # SO_RCVBUFFORCE of Linux, which `socket` does not name
+_STAMPS = 35  # SO_TIMESTAMPNS of Linux, the same: each datagram comes with the time when it arrived
+_TIME = struct.Struct("@ll")  # seconds and nanoseconds
+
+
+class Arrival(NamedTuple):
+    """A message, and when it arrived: see `fleet.ros.message.Message`."""
+
+    at: float
+    monotonic: float
+    message: rtps_graph.Message
 
 
 def messages(
@@ -75,10 +89,11 @@ def messages(
         heard, last = 0, time.monotonic()
         while time.monotonic() - last < timeout:
             listener.announce(every=KEEP_ALIVE if heard else REPEAT)
-            for message in listener.receive():
+            for at, monotonic, message in listener.receive():
                 heard, last = heard + 1, time.monotonic()
                 yield Message(
-                    at=time.time(),
+                    at=at,
+                    monotonic=monotonic,
                     size=len(message.payload),
                     read=partial(read, message.type, message.payload),
                 )
@@ -149,7 +164,8 @@ class Listener:
         self._own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(place[0]))
         self._multicast = self._join(place[0])
         self._announced = 0.0
-        self._began = time.monotonic()
+        self._began = self._changed = time.monotonic()
+        self._known = 0
         self._judged = False
         self._noted: set[str] = set()
         self.graph = Graph(
@@ -187,24 +203,36 @@ class Listener:
         """Listen to more topics, which are DDS names."""
         self._send(self.graph.follow(topics))
 
-    def receive(self) -> Generator[rtps_graph.Message]:
+    def receive(self) -> Generator[Arrival]:
         """Wait for a moment, take in what arrives, and yield the messages of the topics."""
         sockets = [self._own, *([self._multicast] if self._multicast else [])]
         for ready in select.select(sockets, (), (), 0.1)[0]:
-            with contextlib.suppress(OSError):
-                datagram, (source, _) = ready.recvfrom(65536)
-                answers = self.graph.receive(
-                    datagram, source=source, multicast=ready is self._multicast, now=time.monotonic()
-                )
-                self._send(answers)
-        while self.graph.messages:
-            yield self.graph.messages.popleft()
+            try:
+                datagram, source, at = _received(ready)
+            except OSError:
+                continue
+            now = time.monotonic()
+            self._send(
+                self.graph.receive(datagram, source=source, multicast=ready is self._multicast, now=now)
+            )
+            known = len(self.graph.writers) + len(self.graph.readers)
+            if known != self._known:
+                self._known, self._changed = known, now
+            # A clock that is set between the two looks at it cannot make a message younger than now.
+            monotonic = now - max(0.0, time.time() - at)
+            while self.graph.messages:
+                yield Arrival(at, monotonic, self.graph.messages.popleft())
+
+    @property
+    def settled(self) -> bool:
+        """Whether publishers or subscribers were found, and no new ones for a while."""
+        return bool(self._known) and time.monotonic() - self._changed > SETTLED
 
     def notes(self) -> Iterator[str]:
         """Yield, each once, why others do not get the messages that arrive here."""
         topic = self.graph.topic.removeprefix("rt")
-        for reason in self.graph.unmatched():
-            yield from self._once(f"a subscriber of {topic} on {self._robot.name} gets no message: {reason}")
+        for reason in self.graph.unmatched() if self.settled else ():
+            yield from self._once(unmatched(topic, self._robot.name, reason))
         peers = self.graph.peers.values()
         late = time.monotonic() - self._began > HEARD_BY_NOW
         fast = peers and all(peer.about.vendor == "Fast DDS" for peer in peers)
@@ -237,6 +265,7 @@ class Listener:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         if sys.platform == "linux":
             with contextlib.suppress(OSError):
+                opened.setsockopt(socket.SOL_SOCKET, _STAMPS, 1)
                 opened.setsockopt(socket.SOL_SOCKET, _FORCE_ROOM, ROOM)  # root may have it all
         return opened
 
@@ -252,6 +281,21 @@ class Listener:
         except OSError:
             return None
         return opened
+
+
+def unmatched(topic: str, robot: str, reason: str) -> str:
+    """Return a sentence about a subscriber that no publisher of a topic sends to."""
+    return f"a subscriber of {topic} on {robot} matches no publisher: {reason}"
+
+
+def _received(opened: socket.socket) -> tuple[bytes, str, float]:
+    """Return a datagram, its sender, and when it arrived: it may have waited, for example while a type was asked for."""
+    datagram, stamps, _, (source, _) = opened.recvmsg(65536, socket.CMSG_SPACE(_TIME.size))
+    for level, kind, raw in stamps:
+        if (level, kind, len(raw)) == (socket.SOL_SOCKET, _STAMPS, _TIME.size):
+            seconds, nanoseconds = _TIME.unpack(raw)
+            return datagram, source, seconds + nanoseconds / 1e9
+    return datagram, source, time.time()
 
 
 def _own_address(robot: str) -> str:

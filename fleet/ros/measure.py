@@ -65,7 +65,11 @@ class Meter:
         self._reported: float | None = None
 
     def add(self, *, at: float, size: int, delay: float | None = None) -> Report | None:
-        """Add a message; returns a report if the last one is a second ago. Times are in seconds, ``size`` in bytes."""
+        """Add a message; returns a report if the last one is a second ago. Times are in seconds, ``size`` in bytes.
+
+        ``at`` is by a clock that nobody sets (`time.monotonic`); a time that is before the last one counts as that one.
+        """
+        at = max(at, self._seen[-1][0]) if self._seen else at
         self._seen.append((at, size, delay))
         while at - self._seen[0][0] > WINDOW and len(self._seen) > 2:
             self._seen.popleft()

@@ -21,11 +21,13 @@ _SECONDS, _NANOSECONDS = ("sec", "secs"), ("nanosec", "nsecs")
 class Message:
     """A message. ``at`` is when it arrived, in seconds since 1970, by the clock of the computer that heard it.
 
+    ``monotonic`` is the same by a clock of that computer that nobody sets: only the seconds between two messages count.
     ``size`` is in bytes. ``read`` returns its values by field, and raises `NotAsPlanned` if its type cannot be read: who only
     counts messages needs no type.
     """
 
     at: float
+    monotonic: float
     size: int
     read: Callable[[], Mapping[str, Value]]
 

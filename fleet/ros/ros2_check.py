@@ -8,6 +8,7 @@ of ROS; then the check takes the one that the container's program was started wi
       test: ["CMD", "python3", "/usr/local/lib/fleet/ros2_check.py", "/chatter", "--timeout", "10"]
 
 With ``--all``, it prints each message as a line of JSON, until its input ends: so `fab listen --via robot` hears a topic.
+Then the codes `NO_ROS` and `UNPUBLISHED` mean that another container may hear it.
 
 Good for Python 3.8. All times are in seconds.
 """
@@ -25,7 +26,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
 TURN = 0.1  # between two looks for a publisher
 NODE = "_fleet_check"  # the underscore hides it from `ros2 node list`
 SIGN_OF_LIFE = 45.0  # a desktop that listens sends a byte every ten seconds
-NO_ROS = 3  # exit code
+NO_ROS, UNPUBLISHED = 3, 4  # exit codes
+WAITING = 100  # messages that may wait to be printed: 0.1 s of a fast sensor; more camera images would fill the memory
+WAITING_KEPT = 1000  # of a topic that keeps its messages: as many as /rosout keeps; all of them come at once
 
 
 class NoMessage(Exception):
@@ -42,6 +45,19 @@ class NoMessage(Exception):
 
 class NoRos(NoMessage):
     """There is no rclpy here."""
+
+
+class NotPublished(NoMessage):
+    """No publisher of the topic was found."""
+
+
+class Taken(NamedTuple):
+    """A message: its type and bytes, and when it was taken, in seconds since 1970 and by a clock that nobody sets."""
+
+    type: str
+    data: bytes
+    at: float
+    monotonic: float
 
 
 def adopted(processes: Path) -> dict[str, str]:
@@ -68,19 +84,19 @@ def resolved(topic: str, namespace: str) -> str:
     return topic if topic.startswith("/") else "/" + "/".join(p for p in (namespace.strip("/"), topic) if p)
 
 
-def listen(topic: str, *, timeout: float, on_message: Callable[[str, bytes], bool]) -> None:
-    """Give the type and the bytes of each message of a topic to ``on_message``, until that returns False.
+def listen(topic: str, *, timeout: float, every: bool, on_message: Callable[[Taken], bool]) -> None:
+    """Give the messages of a topic to ``on_message``, until that returns False.
 
-    Raises `NoMessage` if none comes for ``timeout`` seconds.
+    ``every``: none of them may be missed; otherwise any one will do. Raises `NoMessage` if none comes for ``timeout`` seconds.
     """
     try:
         rclpy = importlib.import_module("rclpy")
     except ImportError as problem:
-        raise NoRos(f"this container has no rclpy ({problem})") from problem
+        raise NoRos(f"rclpy cannot be imported ({problem})") from problem
     rclpy.init(args=[])
     try:
         node = rclpy.create_node(NODE, start_parameter_services=False, enable_rosout=False)
-        _listen(rclpy, node, topic, timeout, on_message)
+        _listen(rclpy, node, topic, timeout, every, on_message)
     finally:
         rclpy.shutdown()
 
@@ -90,28 +106,41 @@ def _listen(
     node: Any,  # noqa: ANN401
     topic: str,
     timeout: float,
-    on_message: Callable[[str, bytes], bool],
+    every: bool,
+    on_message: Callable[[Taken], bool],
 ) -> None:
-    messages: list[bytes] = []
+    messages: list[Taken] = []
     subscription, kind = None, ""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         publishers = [] if subscription else node.get_publishers_info_by_topic(topic)
         if publishers:
             kind = publishers[0].topic_type
-            quality = _quality(publishers)
-            subscription = node.create_subscription(_type(kind), topic, messages.append, quality, raw=True)
+            quality = _quality(publishers, every=every)
+            take = _taking(kind, messages)
+            subscription = node.create_subscription(_type(kind), topic, take, quality, raw=True)
         rclpy.spin_once(node, timeout_sec=TURN)
         while messages:
             deadline = time.monotonic() + timeout
-            if not on_message(kind, messages.pop(0)):
+            if not on_message(messages.pop(0)):
                 return
-    raise NoMessage("its publisher sends nothing" if subscription else "nobody publishes it")
+    if not subscription:
+        raise NotPublished("nobody publishes it")
+    raise NoMessage(f"its publisher sent nothing for {timeout:g} s")
 
 
-def show(kind: str, data: bytes) -> bool:
+def _taking(kind: str, messages: list[Taken]) -> Callable[[bytes], None]:
+    """Return what rclpy calls with each message. It takes one argument: with two, rclpy would give it more."""
+
+    def take(data: bytes) -> None:
+        messages.append(Taken(kind, data, time.time(), time.monotonic()))
+
+    return take
+
+
+def show(message: Taken) -> bool:
     """Print a message as a line of JSON."""
-    line = {"type": kind, "at": time.time(), "data": base64.b64encode(data).decode()}
+    line = {**message._asdict(), "data": base64.b64encode(message.data).decode()}
     sys.stdout.write(json.dumps(line) + "\n")
     sys.stdout.flush()
     return True
@@ -140,20 +169,20 @@ def _type(name: str) -> Any:  # noqa: ANN401  the class of a message
         raise NoMessage(f"this container has no Python package with {name}") from problem
 
 
-def _quality(publishers: Any) -> Any:  # noqa: ANN401  a quality of service of rclpy
-    """Return what fits each publisher; if all of them keep their last message, that one is asked for."""
+def _quality(publishers: Any, *, every: bool) -> Any:  # noqa: ANN401  a quality of service of rclpy
+    """Return what fits each publisher; if all of them keep their last messages, these are asked for."""
     qos = importlib.import_module("rclpy.qos")
     kept = qos.DurabilityPolicy.TRANSIENT_LOCAL
     late = all(one.qos_profile.durability == kept for one in publishers)
     return qos.QoSProfile(
-        depth=1,
+        depth=(WAITING_KEPT if late else WAITING) if every else 1,
         reliability=qos.ReliabilityPolicy.RELIABLE if late else qos.ReliabilityPolicy.BEST_EFFORT,
         durability=kept if late else qos.DurabilityPolicy.VOLATILE,
     )
 
 
 def main() -> int:
-    """Read one message: 0 when it came, otherwise 1 and the reason; 3 with ``--all`` if there is no ROS here."""
+    """Read one message: 0 when it came, otherwise the reason and 1; with ``--all``, also `NO_ROS` or `UNPUBLISHED`."""
     options = argparse.ArgumentParser(description="Read one message of a ROS 2 topic.")
     options.add_argument("topic", help="a relative name follows ROS_NAMESPACE")
     options.add_argument("--timeout", type=float, default=5.0, metavar="SECONDS")
@@ -171,10 +200,11 @@ def main() -> int:
         end_with_input()
     topic = resolved(asked.topic, os.environ.get("ROS_NAMESPACE", ""))
     try:
-        listen(topic, timeout=asked.timeout, on_message=show if asked.all else lambda *_: False)
+        on_message = show if asked.all else lambda _: False
+        listen(topic, timeout=asked.timeout, every=asked.all, on_message=on_message)
     except NoMessage as problem:
         sys.stdout.write(f"{topic}: {problem}\n")
-        return NO_ROS if asked.all and isinstance(problem, NoRos) else 1
+        return {NoRos: NO_ROS, NotPublished: UNPUBLISHED}.get(type(problem), 1) if asked.all else 1
     except Exception as problem:  # noqa: BLE001  Docker shows one line of a check, and a traceback has more
         sys.stdout.write(f"{topic}: {type(problem).__name__}: {str(problem).partition(chr(10))[0]}\n")
         return 1

@@ -62,7 +62,7 @@ _FORMATS = {
 _TIMES = {"time": "<II", "duration": "<ii"}
 _BUILT_IN = {*_FORMATS, *_TIMES, "string"}
 _SEPARATOR = re.compile(r"^=+\s*\nMSG:\s*(\S+)\s*$", re.MULTILINE)
-_LINE = re.compile(r"([A-Za-z][\w/]*)(\[(\d*)\])?\s+([A-Za-z]\w*)\s*(=|#|$)")
+_LINE = re.compile(r"([A-Za-z][\w/]*)(\[(\d{0,9})\])?\s+([A-Za-z]\w*)\s*(=|#|$)")
 
 
 def parse(type_name: str, definition: str) -> dict[str, tuple[Field, ...]]:

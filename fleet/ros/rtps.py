@@ -136,7 +136,10 @@ def _part(kind: int, flags: int, order: str, body: bytes) -> Part | None:
 
 
 def _number(order: str, body: bytes, at: int) -> int:
+    """Return the number of a sample. Raises ``struct.error``, also for those of which no writer gets to the next."""
     high, low = struct.unpack_from(f"{order}iI", body, at)
+    if not 0 <= high < 0x7FFFFFFF:
+        raise struct.error("no number of a sample")
     return (int(high) << 32) + int(low)
 
 

@@ -24,6 +24,12 @@ IDENTITY_TOKEN = 0x1001
 USUAL_LEASE = 20
 """Seconds that a participant may be silent, if it does not say."""
 
+LONGEST_NAME = 256
+"""Characters of a topic or a type; Fast DDS allows 255. We send these names too, and a part has 64 kB."""
+
+MOST_PLACES = 32
+"""Addresses of a participant that are used: a robot has one for each interface."""
+
 _VENDORS = {
     b"\1\x01": "RTI Connext",
     b"\1\x0f": "Fast DDS",
@@ -99,7 +105,7 @@ class Parameters:
             if len(raw) == 24 and struct.unpack_from(f"{self._order}i", raw) == (1,):
                 (port,) = struct.unpack_from(f"{self._order}I", raw, 4)
                 found.append((".".join(map(str, raw[20:24])), int(port)))
-        return tuple(place for place in found if 0 < place[1] < 65536)
+        return tuple(place for place in found if 0 < place[1] < 65536)[:MOST_PLACES]
 
     def __contains__(self, name: int) -> bool:
         return name in self._values
@@ -143,7 +149,7 @@ def endpoint(payload: bytes, *, publishes: bool) -> Endpoint | None:
     """
     said = parameters(payload)
     guid, topic, kind = said.raw(GUID), said.text(TOPIC), said.text(TYPE)
-    if len(guid) != 16 or not topic or not kind:
+    if len(guid) != 16 or not all(0 < len(name) <= LONGEST_NAME for name in (topic, kind)):
         return None
     reliability = said.number(RELIABILITY)
     quality = Quality(

@@ -79,7 +79,7 @@ class Peer:
 
 @dataclass(kw_only=True)
 class Pieces:
-    """The fragments of one message: their first pieces, and their bytes."""
+    """The fragments of one message: their first pieces, and their bytes, which never are more than its own."""
 
     size: int
     total: int
@@ -96,6 +96,7 @@ class Pieces:
         whole = bytearray()
         for first in sorted(self.found):
             if (first - 1) * self.size != len(whole):
+                self.found, self.arrived = {}, 0  # they contradict each other
                 return b""
             whole += self.found[first]
         return bytes(whole[: self.total])

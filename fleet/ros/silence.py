@@ -106,7 +106,9 @@ def _containers(text: str) -> tuple[Container, ...]:
 def reason(robot: Robot, graph: Graph, network: Network, *, heard: int, timeout: float) -> RobotError:
     """Return why a listener got no message for ``timeout`` seconds, after it has ``heard`` some messages before."""
     topic = graph.topic.removeprefix("rt")
-    logs = f"`fab logs --hosts {robot.name}` shows what the node does"
+    logs = (
+        f"`fab logs --hosts {robot.name}` shows what the node does; a slower topic needs a longer --timeout"
+    )
     if not graph.peers:
         return _nobody(robot, graph, network)
     if not graph.writers:
@@ -124,7 +126,7 @@ def reason(robot: Robot, graph: Graph, network: Network, *, heard: int, timeout:
             cure=_firewall(robot, graph.domain),
         )
     return TimedOut(
-        f"{topic} was silent for {timeout:g} s: its publisher accepts subscribers but sends no message",
+        f"{topic} was silent for {timeout:g} s: its publisher took the subscription and sent nothing in that time",
         cure=logs,
     )
 

@@ -10,6 +10,7 @@ one real message was read::
     python3 tcpros.py /time --timeout 5
 
 With ``--all``, it prints each message as a line of JSON, until its input ends: so `fab listen --via robot` hears a topic.
+Then the codes `CANNOT` and `UNPUBLISHED` mean that another container may hear it.
 Everything has a time limit: a ``deadline`` is a time of `time.monotonic`, in seconds.
 """
 
@@ -38,11 +39,19 @@ if TYPE_CHECKING:
 CALLER = "/fleet_listener"
 LARGEST_ANSWER = 8 << 20  # bytes; a graph of fifty thousand topics, by far the largest message definition
 LARGEST_MESSAGE = 256 << 20  # bytes; more than any camera or laser sends
+LONGEST_REASON = 500  # characters of an error: some of them are a peer's own words
 SIGN_OF_LIFE = 45.0  # a desktop that listens sends a byte every ten seconds
+CANNOT, UNPUBLISHED = (
+    3,
+    4,
+)  # exit codes: the master or the publisher cannot be reached from here; nobody publishes the topic
 
 
 class GraphError(Exception):
     """A step on the way to a message failed."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason if len(reason) <= LONGEST_REASON else reason[:LONGEST_REASON] + " ...")
 
 
 class NameUnknown(GraphError):
@@ -81,7 +90,7 @@ def addresses(host: str, port: int, deadline: float) -> list[tuple[Any, ...]]:
     found: list[tuple[Any, ...]] = []
 
     def resolve() -> None:
-        with contextlib.suppress(OSError, UnicodeError):
+        with contextlib.suppress(OSError, ValueError):  # a name that cannot be one is a ValueError
             found.extend(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
 
     asking = threading.Thread(target=resolve, daemon=True)
@@ -202,7 +211,7 @@ def graph(master: str, *, deadline: float) -> Graph:
     state = call(master, "getSystemState", deadline=deadline)
     try:
         return Graph(*({str(t): [str(n) for n in nodes] for t, nodes in part} for part in state[:2]))
-    except (TypeError, ValueError) as problem:
+    except (TypeError, ValueError, LookupError) as problem:
         raise Refused(f"{master} is not a ROS master: its getSystemState makes no sense") from problem
 
 
@@ -215,7 +224,9 @@ def data_address(node: str, topic: str, *, deadline: float) -> tuple[str, int]:
     """Ask a node (a URI) for the host and port of a topic's bytes (``requestTopic``)."""
     answer = call(node, "requestTopic", topic, [["TCPROS"]], deadline=deadline)
     if isinstance(answer, list) and len(answer) == 3 and answer[0] == "TCPROS" and isinstance(answer[2], int):
-        return str(answer[1]), answer[2]
+        host, port = str(answer[1]), int(answer[2])
+        if host and 0 < port < 65536:
+            return host, port
     raise Refused(f"{node} offers {topic} in no form that can be read here: {answer!r}")
 
 
@@ -306,8 +317,9 @@ def messages(
 
 def show(stream: Stream, data: bytes) -> None:
     """Print a message as a line of JSON."""
-    line = {"type": stream.type, "definition": stream.definition, "at": time.time()}
-    sys.stdout.write(json.dumps({**line, "data": base64.b64encode(data).decode()}) + "\n")
+    line = {"type": stream.type, "definition": stream.definition}
+    clocks = {"at": time.time(), "monotonic": time.monotonic()}
+    sys.stdout.write(json.dumps({**line, **clocks, "data": base64.b64encode(data).decode()}) + "\n")
     sys.stdout.flush()
 
 
@@ -323,7 +335,7 @@ def end_with_input() -> None:
 
 
 def main() -> int:
-    """Read one message, as the container's health check: 0 when it came, otherwise 1 and the reason."""
+    """Read one message, as the container's health check: 0 when it came, otherwise the reason and 1, or `_code`."""
     options = argparse.ArgumentParser(description="Read one message of a ROS 1 topic.")
     options.add_argument("topic", help="a relative name follows ROS_NAMESPACE")
     options.add_argument("--master", default=os.environ.get("ROS_MASTER_URI", "http://localhost:11311"))
@@ -340,8 +352,14 @@ def main() -> int:
         first_message(asked.master, topic, deadline=deadline)
     except GraphError as problem:
         sys.stdout.write(f"{topic}: {problem}\n")
-        return 1
+        return _code(problem) if asked.all else 1
     return 0
+
+
+def _code(problem: GraphError) -> int:
+    if isinstance(problem, NotPublished):
+        return UNPUBLISHED
+    return CANNOT if isinstance(problem, (NameUnknown, NoConnection)) else 1
 
 
 if __name__ == "__main__":

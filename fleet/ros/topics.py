@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from fleet.ros.listen_ros2 import Listener, OnRobot
     from fleet.ros.rtps_graph import Graph
 
-SETTLED = 2.0
-"""Seconds without a new publisher after which all of them are known: participants announce themselves several times then."""
-
+STARTING = 1.0
+"""Seconds from a subscription to the first message, at most: they are not a pause."""
 
 AT_ONCE = 32
 """Topics of one robot with ROS 1 that are measured side by side, each in a thread and over a connection."""
@@ -95,8 +94,14 @@ def _rate(robot: Robot, topic: str, *, measure: float) -> float | None:
 
 
 def per_second(times: list[float], measured: float) -> float:
-    """Return the rate of messages that came at these times, in a measurement of so many seconds."""
-    return (len(times) - 1) / (times[-1] - times[0]) if times[2:] else len(times) / measured
+    """Return the rate of messages that came at these times, in a measurement of so many seconds.
+
+    Messages that come regularly are counted from the first to the last. If all of them came in a part of the time, they are
+    a burst, and the pauses before and after it count.
+    """
+    span = times[-1] - times[0] if times else 0.0
+    regular = span > 0 and measured - span < 2 * span / (len(times) - 1) + STARTING
+    return (len(times) - 1) / span if regular else len(times) / measured
 
 
 def _of_nodes(robot: Robot, *, timeout: float, on_robot: OnRobot, measure: float) -> tuple[Topic, ...]:
@@ -104,14 +109,11 @@ def _of_nodes(robot: Robot, *, timeout: float, on_robot: OnRobot, measure: float
         raise silence.by_zenoh(robot)
     addresses = listen_ros2.addresses_of(robot, on_robot)
     with listen_ros2.Listener(robot, "", addresses, counting=True) as listener:
-        began = changed = time.monotonic()
-        known = 0
-        while (now := time.monotonic()) - began < timeout and not (known and now - changed > SETTLED):
+        began = time.monotonic()
+        while time.monotonic() - began < timeout and not listener.settled:
             listener.announce(every=listen_ros2.REPEAT)
             for _ in listener.receive():
                 pass  # nothing is followed yet
-            if len(listener.graph.writers) + len(listener.graph.readers) != known:
-                known, changed = len(listener.graph.writers) + len(listener.graph.readers), now
         if not listener.graph.writers:
             network = listen_ros2.network_of(on_robot)
             raise silence.reason(robot, listener.graph, network, heard=0, timeout=timeout)
@@ -127,8 +129,8 @@ def _rates(listener: Listener, measure: float) -> dict[str, float]:
     end = time.monotonic() + measure
     while time.monotonic() < end:
         listener.announce(every=listen_ros2.REPEAT)
-        for message in listener.receive():
-            times[message.topic].append(time.monotonic())
+        for arrival in listener.receive():
+            times[arrival.message.topic].append(arrival.monotonic)
     return {topic: per_second(found, measure) for topic, found in times.items()}
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.errors import NotAsPlanned, NotReady
+from fleet.ros import environment
 from fleet.ros.message import Message
 
 if TYPE_CHECKING:
@@ -31,14 +32,19 @@ LARGEST_LINE = 96 << 20
 """Bytes of a line: a message of 64 MiB and more. A longer one ends the connection."""
 
 _PROGRAMS = {1: "tcpros.py", 2: "ros2_check.py"}
-_NO_ROS = 3  # what hear.sh ends with
+MOST_CONTAINERS, LONGEST_NAME = 1000, 256
+"""Of a robot, whose reasons are kept; and characters of a container's name: Docker allows 255 bytes at most."""
+
+_CANNOT = 3  # what hear.sh ends with
 
 
 def command(robot: Robot, topic: str, *, timeout: float) -> tuple[str, ...]:
     """Return the command that prints the messages of a topic, until its input ends. ``timeout``: see `ros2_check`."""
     program = (resources.files("fleet.ros") / _PROGRAMS[robot.ros.version]).read_text(encoding="utf-8")
     script = onboard.text("hear.sh")
-    return ("sh", "-c", script, "hear", program, topic, "--timeout", f"{timeout:g}", "--all")
+    deciding = environment.VARIABLES[robot.ros.version][0]
+    variable = f"{deciding}={environment.environment(robot)[deciding]}"
+    return ("sh", "-c", script, "hear", variable, program, topic, "--timeout", f"{timeout:g}", "--all")
 
 
 class Heard:
@@ -50,7 +56,8 @@ class Heard:
         self._read, self._on_message, self._on_container = read, on_message, on_container
         self._parts: list[bytes] = []
         self._size = 0
-        self._container = self._reason = ""
+        self._container = ""
+        self._reasons: dict[str, str] = {}  # of each container, the last one
         self._told = False
 
     def on_output(self, data: bytes) -> None:
@@ -66,36 +73,38 @@ class Heard:
 
     def _line(self, line: bytes) -> None:
         if line.startswith(b"== "):
-            self._container = line[3:].decode(errors="replace")
+            self._container = line[3:].decode(errors="replace")[:LONGEST_NAME]
         elif line.startswith(b"{"):
             message = self._message(line)
             if not self._told:
                 self._told = True
                 self._on_container(self._container)
             self._on_message(message)
-        elif line.strip():
-            self._reason = line.decode(errors="replace")[:500]
+        elif line.strip() and len(self._reasons) < MOST_CONTAINERS:
+            self._reasons[self._container] = line.decode(errors="replace")[:500]
 
     def _message(self, line: bytes) -> Message:
         try:
             said = json.loads(line)
             data = base64.b64decode(said["data"], validate=True)
-            kind, definition, at = str(said["type"]), str(said.get("definition", "")), float(said["at"])
-        except (ValueError, KeyError, TypeError, RecursionError, binascii.Error) as problem:
+            kind, definition = str(said["type"]), str(said.get("definition", ""))
+            at, monotonic = float(said["at"]), float(said["monotonic"])
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError, binascii.Error) as problem:
             raise _no_message(line) from problem
-        if not isfinite(at):
+        if not isfinite(at) or not isfinite(monotonic):
             raise _no_message(line)
-        return Message(at=at, size=len(data), read=partial(self._read, kind, definition, data))
+        read = partial(self._read, kind, definition, data)
+        return Message(at=at, monotonic=monotonic, size=len(data), read=read)
 
     def failure(self, robot: Robot, topic: str, *, code: int, errors: str) -> NotAsPlanned | NotReady:
         """Return why the command ended."""
         status = f"`fab status --hosts {robot.name}` shows whether its containers run"
-        reason = self._reason or next(iter(errors.strip().splitlines()[-1:]), "")
-        if code == _NO_ROS:
-            has = "rclpy" if robot.ros.version == 2 else "Python"
-            more = f" ({reason})" if reason else ""
+        reason = self._reasons.get(self._container, "") or next(iter(errors.strip().splitlines()[-1:]), "")
+        if code == _CANNOT:
+            lacks = "none has rclpy" if robot.ros.version == 2 else "none has Python 3"
             return NotReady(
-                f"no running container of {robot.name} can listen: none has {has}{more}", cure=status
+                f"no container of {robot.name} can listen: {reason.removeprefix(f'{topic}: ') or lacks}",
+                cure=status,
             )
         if not self._container:
             return NotAsPlanned(

@@ -151,6 +151,7 @@ class Case:
     listen: tuple[str, ...] = ()
     firewall: tuple[str, ...] = ()
     runs: bool = True
+    count: int = 3
     arrives: bool = False
 
 
@@ -183,7 +184,8 @@ CASES = {
     ),
     "quality": Case(
         program=("python3", "-c", BEST_EFFORT),
-        says="gets no message: it wants reliable messages, and the publisher is best effort",
+        says="matches no publisher: it wants reliable messages, and the publisher is best effort",
+        count=20,
         arrives=True,
     ),
 }
@@ -198,7 +200,15 @@ def judged(project: Project, pi: Pi, case: Case) -> Said:
     if case.firewall:
         pi.exec("iptables", "--append", *case.firewall, "--jump", "DROP")
     try:
-        listen = ("listen", "--hosts", pi.name, "--timeout", "15" if case.arrives else "5", "--count", "3")
+        listen = (
+            "listen",
+            "--hosts",
+            pi.name,
+            "--timeout",
+            "15" if case.arrives else "5",
+            "--count",
+            str(case.count),
+        )
         return project.fab(*listen, *case.listen)
     finally:
         if case.firewall:

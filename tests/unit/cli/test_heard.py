@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def message(at: float = 100.0, **values: Value) -> Message:
-    return Message(at=at, size=20, read=lambda: values)
+    return Message(at=at, monotonic=at, size=20, read=lambda: values)
 
 
 def stamped(at: float, sent: int) -> Message:
@@ -53,7 +53,7 @@ def test_json() -> None:
 
 
 def test_rates_need_no_type() -> None:
-    """Messages that cannot be read are counted; each robot for itself."""
+    """Messages that cannot be read are counted; each robot for itself, and while its clock is set back."""
 
     def unreadable() -> dict[str, Value]:
         raise NotAsPlanned("cannot be read")
@@ -61,7 +61,7 @@ def test_rates_need_no_type() -> None:
     printed = Printed()
     show = heard.Measured("/time", delay=False, on_report=heard.report_as_text(printed.line)).show
     shown = [
-        show(robot, Message(at=at, size=20, read=unreadable), None)
+        show(robot, Message(at=7 - at, monotonic=at, size=20, read=unreadable), None)
         for at in (1.0, 1.5, 2.0)
         for robot in ("pi1", "pi2")
     ]

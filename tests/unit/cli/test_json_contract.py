@@ -123,7 +123,7 @@ WHOLE = PI.model_copy(
 SEEN = Sighting(candidate=Candidate(address="192.0.2.7"), fingerprint="SHA256:abc", key="new")
 LISTENED: list[Mapping[str, object]] = []
 """A message and a report, as they are printed."""
-MESSAGE = Message(at=1.0, size=1, read=dict)
+MESSAGE = Message(at=1.0, monotonic=1.0, size=1, read=dict)
 heard.as_json("/time", LISTENED.append)("pi1", MESSAGE, None)
 heard.report_as_json("/time", LISTENED.append)("pi1", Report(rate=1, shortest=1, longest=1, bytes=1), None)
 PRINTED = {

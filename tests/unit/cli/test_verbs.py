@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import build, bundle, card, deploy, dev, find, lab, observe, project
+from fleet.cli import build, bundle, card, ci, deploy, dev, find, lab, observe, project
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
     *("init", "completion", "remove", "topics", "bundle", "dev"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
-    *("card", "await", "find"),
+    *("card", "await", "find", "ci.github", "ci.shell"),
 }
 
 
@@ -75,6 +75,7 @@ def test_each_flag_has_help(mine: Project) -> None:
             "completion",
             "await",
             "find",
+            "ci.shell",
         }
     ),
 )
@@ -86,7 +87,7 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (build, bundle, card, deploy, dev, find, observe, lab, project)
+    modules = (build, bundle, card, ci, deploy, dev, find, observe, lab, project)
     assert (
         sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
         == len(VERBS)
@@ -133,6 +134,13 @@ BAD = [
     (("run", "--hosts", "pi1", "--", "exit 7"), 1, "pi1: ended with code 7"),
     (("topics", "--hosts", "pi1"), 1, "pi1: no ROS master listens at"),
     (("listen", "--hosts", "pi1", "--count", "1"), 1, "pi1: no ROS master listens at"),
+    (
+        ("listen", "--timeout", "0"),
+        2,
+        "--timeout 0 leaves no time to find anything\n  cure: say --timeout 10, or",
+    ),
+    (("topics", "--timeout", "0"), 2, "--timeout 0 leaves no time"),
+    (("listen", "--via", "pi1"), 2, "--via pi1 is not possible\n  cure: say --via robot, or leave it out"),
     (("start", "--hosts", "away"), 1, "1 unreachable"),
 ]
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 ROOT = Path(__file__).parents[3]
+# catkin_pkg 1.1 reads conditions with names that pyparsing 3.3 gives up.
+OLD_NAMES = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 # Debian bookworm, as `apt_knows` gives it.
 KNOWN = {
@@ -234,3 +236,87 @@ def test_libraries_are_looked_up_in_what_was_unpacked(program: ModuleType, tmp_p
     (tmp_path / "libroscpp-dev").write_text(f"{lib}/libroscpp.so.4d\n{lib}/libroscpp.so\n")
     needed = {"libroscpp.so.4d": "listener", "libc.so.6": "listener"}
     assert program.owners(needed, tmp_path) == ({"libroscpp4d"}, {"libc.so.6"})
+
+
+def test_a_changed_base_begins_anew(program: ModuleType, tmp_path: Path) -> None:
+    """Another list of its packages, and another file where no list of packages leads to."""
+    (tmp_path / "opt/ros/include").mkdir(parents=True)
+    (tmp_path / "var/lib/dpkg/status.d").mkdir(parents=True)
+    seen = [program.headers(tmp_path), program.headers(tmp_path)]
+    for name in ("var/lib/dpkg/status", "var/lib/dpkg/status.d/libroscpp-dev", "opt/ros/include/ros.h"):
+        for text in ("1", "22"):
+            (tmp_path / name).write_text(text)
+            seen.append(program.headers(tmp_path))
+    assert len(set(seen)) == len(seen) - 1
+
+
+@OLD_NAMES
+def test_what_a_package_is_compiled_with(program: ModuleType, tmp_path: Path) -> None:
+    """What it needs exports more, also if that is not needed to build it; conditions are those of this ROS."""
+    package(tmp_path / "headers", "headers")
+    package(tmp_path / "ros2", "ros2")
+    package(tmp_path / "between", "between")
+    package(tmp_path / "node", "node", "between", "roscpp")
+    for name, line in (
+        ("between", "<build_export_depend>headers</build_export_depend>"),
+        ("node", '<build_depend condition="$ROS_VERSION == 2">ros2</build_depend>'),
+    ):
+        file = tmp_path / name / "package.xml"
+        file.write_text(file.read_text().replace("</package>", f"{line}</package>"))
+    own = {package.name: package for package in program.packages(tmp_path).values()}
+    assert program.compiled_with(own["node"], own) == {"between", "headers"}
+    assert program.compiled_with(own["between"], own) == set()
+
+
+@OLD_NAMES
+def test_the_order_knows_the_conditions(program: ModuleType, tmp_path: Path) -> None:
+    """And the environment of the nodes' CMake is as it was."""
+    package(tmp_path / "z", "z")
+    package(tmp_path / "a", "a")
+    file = tmp_path / "a/package.xml"
+    line = '<build_depend condition="$ROS_DISTRO == noetic">z</build_depend>'
+    file.write_text(file.read_text().replace("</package>", f"{line}</package>"))
+    before = dict(os.environ)
+    assert [path for path, _ in program.ordered(tmp_path)] == ["z", "a"]
+    assert dict(os.environ) == before
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("--build", "listener does not compile:"),
+        ("-S", "listener cannot be configured by CMake:"),
+        ("--install", "listener cannot be installed: an install(...) of its CMakeLists.txt fails:"),
+    ],
+)
+def test_each_step_of_cmake_has_its_words(
+    program: ModuleType, tmp_path: Path, option: str, words: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """CMake is called three times, and each time something else can be wrong."""
+    monkeypatch.setattr(program, "toolchain", lambda _: "")
+    builder = program.Builder({}, triplet="x", cache=tmp_path)
+    with pytest.raises(SystemExit) as error:
+        builder._run("listener", tmp_path, "sh", "-c", "echo CMake Error: x; exit 1", option)  # noqa: SLF001
+    assert said(error, capsys).endswith(f"\n{words}\nCMake Error: x\n")
+
+
+@pytest.mark.parametrize("text", ["boost: [libboost]", "boost: {ubuntu: [x]}", "- boost", "a: {", "boost: 1"])
+def test_a_table_that_is_wrong_is_one_sentence(
+    program: ModuleType, tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """People write into it."""
+    (tmp_path / "rosdep.yaml").write_text(text)
+    monkeypatch.setattr(program, "HERE", tmp_path)
+    with pytest.raises(SystemExit) as error:
+        program.names(tmp_path / "run")
+    out = said(error, capsys)
+    assert out.startswith("docker/rosdep.yaml cannot be read: ")
+    assert len(out.splitlines()) == 1
+
+
+def test_the_history_of_packages_is_not_their_source() -> None:
+    """A fetch changes files in .git, and would make another build."""
+    for name in (".dockerignore", "docker/packages.Dockerfile.dockerignore"):
+        assert "**/.git" in (ROOT / name).read_text(encoding="utf-8").splitlines()

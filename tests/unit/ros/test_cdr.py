@@ -129,6 +129,8 @@ def test_other_type_names(dds: str) -> None:
         ("wstring data", b"", "is a wstring"),
         ("string", b"", "has the line"),
         ("uint8[999999999] data", b"", "array of 999999999"),
+        (f"uint8[{'9' * 5000}] data", b"", "has the line"),
+        (f"uint8[<={'9' * 5000}] data", b"", "has the line"),
     ],
 )
 def test_the_reason_is_given(definition: str, data: bytes, reason: str) -> None:

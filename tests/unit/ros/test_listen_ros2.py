@@ -13,6 +13,8 @@ from fleet.config.inventory import Robot
 from fleet.config.ros import Ros
 from fleet.errors import NotAsPlanned, RobotError, TimedOut, Unreachable
 from fleet.ros import listen_ros2
+from fleet.ros.quality import Quality
+from fleet.ros.rtps_discovery import Endpoint
 from tests.support.ros2_peer import Peer, string_message
 
 if TYPE_CHECKING:
@@ -233,3 +235,42 @@ def test_multicast_that_does_not_arrive_is_noted_once(peer: Peer, monkeypatch: p
             next(arriving)
     assert len(notes) == 1
     assert "the multicast of pi1 does not" in notes[0]
+
+
+def test_messages_are_stamped_when_they_arrive(peer: Peer) -> None:
+    """Not when they are taken: they wait while the type is asked for, which takes seconds over a slow link."""
+    peer.messages *= 5
+    on_robot = OnRobot()
+    arriving = listen_ros2.messages(robot(peer.domain), "/chatter", timeout=5, on_robot=on_robot)
+    with contextlib.closing(arriving):
+        next(arriving)
+        time.sleep(1)
+        woke, woke_monotonic = time.time(), time.monotonic()
+        second = next(arriving)
+    # It was sent 0.05 s after the first; a computer that does other things may take longer.
+    assert second.at < woke - 0.1
+    assert second.monotonic < woke_monotonic - 0.1
+
+
+def test_subscribers_are_judged_when_all_are_known(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another publisher, which would match, may be the next that is found."""
+    peer.messages *= 20
+    monkeypatch.setattr(listen_ros2, "SETTLED", 0.3)
+    with listen_ros2.Listener(robot(peer.domain), "/chatter", ("127.0.0.1",)) as listener:
+        asked = Endpoint(
+            guid=bytes(16), topic="rt/chatter", type="std_msgs::msg::dds_::Int8_", quality=Quality()
+        )
+        listener.graph.readers[asked.guid] = asked
+        notes: list[str] = []
+        began = time.monotonic()
+        while not notes:
+            assert time.monotonic() - began < 10
+            listener.announce(every=0.5)
+            for _ in listener.receive():
+                pass
+            notes = list(listener.notes())
+        assert time.monotonic() - began > 0.3
+    (note,) = notes
+    assert note.startswith(
+        "a subscriber of /chatter on pi1 matches no publisher: its type is std_msgs/msg/Int8"
+    )

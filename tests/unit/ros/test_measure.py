@@ -54,3 +54,9 @@ def test_two_clocks() -> None:
     assert clocks([(100.0, 112.0, 104.0), (200.0, 210.5, 201.0)]) == Clocks(ahead=10.0, error=0.5)
     assert str(Clocks(ahead=-0.012, error=0.003)) == "its clock is 12 ms behind this computer's (± 3.0 ms)"
     assert str(Clocks(ahead=90, error=0.02)) == "its clock is 90000 ms ahead of this computer's (± 20 ms)"
+
+
+def test_a_time_before_the_last_one() -> None:
+    """It counts as the last one: no gap is negative, and reports go on."""
+    found = reports([0, 0.5, 0.4, 1.0, 2.0])
+    assert [(one.rate, one.shortest, one.longest) for one in found] == [(3.0, 0.0, 0.5), (2.0, 0.0, 1.0)]

@@ -23,7 +23,7 @@ def test_text_is_read_when_it_is_wanted() -> None:
         read.append("now")
         return {"data": "noon"}
 
-    message = Message(at=1.0, size=8, read=values)
+    message = Message(at=1.0, monotonic=1.0, size=8, read=values)
     assert not read
     assert message.text() == 'data: "noon"'
 

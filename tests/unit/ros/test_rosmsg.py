@@ -138,6 +138,8 @@ def test_any_definition_is_parsed_or_refused(definition: str) -> None:
         ("uint8 data", b"\x01\x02", "1 bytes more"),
         ("float64[] data", b"\xff\xff\xff\xff", "too early"),
         ("Missing data", b"", "does not define it"),
+        ("float64[999999999] data", b"", "ends 7999999992 bytes too early"),
+        (f"uint8[{'9' * 5000}] data", b"", "has the line"),
         ("string", b"", "has the line"),
     ],
 )

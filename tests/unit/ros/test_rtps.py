@@ -203,3 +203,15 @@ def test_a_list_of_parameters_without_end() -> None:
     endless = b"\0\3\0\0" + struct.pack("<HH", 0x50, 0) * 10_000
     assert rtps_discovery.parameters(endless).raw(0x50) == b""
     assert rtps_discovery.endpoint(endless, publishes=True) is None
+
+
+@pytest.mark.parametrize("high", [-1, -(1 << 31), 0x7FFFFFFF])
+def test_numbers_that_no_writer_gets_to(high: int) -> None:
+    """A part with one is left out: the next number could not be answered."""
+    number = struct.pack("<iI", high, 0xFFFFFFFF)
+    one = struct.pack("<iI", 0, 1)
+    assert parts(part(0x15, b"\0\0\x10\0" + bytes(8) + number, 5)) == ()
+    assert parts(part(0x07, bytes(8) + number + number)) == ()
+    assert parts(part(0x07, bytes(8) + one + number)) == ()
+    assert parts(part(0x08, bytes(8) + one + number)) == ()
+    assert parts(part(0x06, bytes(8) + number)) == ()

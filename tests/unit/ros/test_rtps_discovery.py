@@ -53,3 +53,22 @@ def test_names_of_types() -> None:
     """As ROS writes them, if they are ROS's."""
     assert rtps_discovery.ros_type("std_msgs::msg::dds_::String_") == "std_msgs/msg/String"
     assert rtps_discovery.ros_type("Odd") == "Odd"
+
+
+@pytest.mark.parametrize(("length", "found"), [(256, True), (257, False), (60_000, False)])
+def test_names_that_are_too_long(length: int, *, found: bool) -> None:
+    """Each is sent again, in a subscription: a part has 64 kB."""
+    for name in (0x05, 0x07):
+        said = (
+            parameter(0x5A, GUID)
+            + parameter(0x0C - name, string("T"))
+            + parameter(name, string("x" * length))
+        )
+        assert bool(rtps_discovery.endpoint(b"\0\3\0\0" + said + END, publishes=True)) is found
+
+
+def test_a_participant_with_many_addresses() -> None:
+    """Each of them would get our datagrams."""
+    place = struct.pack("<iI", 1, 7410) + bytes(12) + bytes((10, 0, 0, 1))
+    said = rtps_discovery.participant(b"\0\3\0\0" + parameter(0x32, place) * 2000 + END, prefix=bytes(12))
+    assert len(said.meta) == rtps_discovery.MOST_PLACES

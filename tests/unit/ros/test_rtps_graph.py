@@ -221,6 +221,17 @@ def test_pieces_that_contradict_each_other_make_no_message() -> None:
     assert payloads(listener) == [b"12345678"]
 
 
+def test_pieces_are_no_more_than_their_message() -> None:
+    """Thousands that overlap are not kept: the memory is that of the message."""
+    pieces = rtps_graph.Pieces(size=1, total=100_000)
+    for first in range(1, 20_000):
+        part = rtps.Fragment(
+            writer=WRITER, number=1, first=first, size=1, total=100_000, payload=bytes(60_000)
+        )
+        assert pieces.add(part) == b""
+        assert sum(map(len, pieces.found.values())) <= 160_000
+
+
 def test_a_message_that_is_too_large_is_not_collected() -> None:
     """Its size is told."""
     listener = found()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.ros import tcpros
-from tests.support.ros_peers import Peers, serving, string_message
+from tests.support.ros_peers import Peers, answering, serving, string_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -210,6 +210,8 @@ def test_all_messages_as_lines(peers: Peers) -> None:
     found = [json.loads(line) for line in lines]
     assert [base64.b64decode(one["data"]) for one in found] == [m[4:] for m in peers.messages]
     assert {(one["type"], one["definition"]) for one in found} == {("std_msgs/String", peers.definition)}
+    assert found[0]["at"] <= found[1]["at"]
+    assert found[0]["monotonic"] <= found[1]["monotonic"]
     assert "is connected and says nothing" in reason
     with subprocess.Popen((*argv[:-1], "30"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:
         assert running.stdin
@@ -217,3 +219,45 @@ def test_all_messages_as_lines(peers: Peers) -> None:
         running.stdout.readline()
         running.stdin.close()
         assert running.wait(timeout=20) == 0
+
+
+@pytest.mark.parametrize("port", [10**30, 70_000, 65_536, 0, -1])
+def test_a_port_that_is_none(port: int) -> None:
+    """A node that says so is refused; the system would raise."""
+    with (
+        answering({"requestTopic": lambda *_: [1, "", ["TCPROS", "127.0.0.1", str(port)]]}) as node,
+        pytest.raises(tcpros.Refused, match="in no form"),
+    ):
+        tcpros.data_address(f"http://127.0.0.1:{node}", "/time", deadline=soon())
+    text = f"<value><int>{port}</int></value>"
+    value = (
+        "<value><array><data><value>TCPROS</value><value>127.0.0.1</value>" + text + "</data></array></value>"
+    )
+    answer = f"<value><array><data><value><int>1</int></value><value/>{value}</data></array></value>"
+    body = f"<methodResponse><params><param>{answer}</param></params></methodResponse>"
+
+    def say(peer: socket.socket) -> None:
+        peer.recv(10_000)
+        peer.sendall(b"HTTP/1.0 200 OK\r\n\r\n" + body.encode())
+
+    with serving(say) as node, pytest.raises(tcpros.Refused, match="in no form"):
+        tcpros.data_address(f"http://127.0.0.1:{node}", "/time", deadline=soon())
+
+
+def test_a_peers_own_words_are_cut() -> None:
+    """A reason is a sentence, also if a node says eight megabytes."""
+    assert len(str(tcpros.Refused("no" * 4_000_000))) < 600
+
+
+@pytest.mark.parametrize(
+    ("master", "code"), [("http://nobody.invalid:11311", 3), ("http://127.0.0.1:9", 3), ("", 4)]
+)
+def test_another_container_may_hear_it(peers: Peers, master: str, code: int) -> None:
+    """With ``--all``: the master cannot be reached from here, or nobody publishes the topic there."""
+    command = (sys.executable, "-S", tcpros.__file__, "/tim", "--all", "--timeout", "2")
+    with subprocess.Popen(
+        (*command, "--master", master or peers.master), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as running:
+        assert running.stdout
+        assert len(running.stdout.read().splitlines()) == 1
+        assert running.wait(timeout=20) == code

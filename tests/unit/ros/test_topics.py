@@ -114,7 +114,14 @@ def test_rates_of_nodes(domain: int) -> None:
 
 
 def test_messages_per_second() -> None:
-    """From the first to the last, or else over the whole time."""
-    assert topics.per_second([1.0, 1.5, 2.0], 5) == 2
+    """From the first to the last, if they come regularly."""
+    assert topics.per_second([number / 10 for number in range(50)], 5) == pytest.approx(10)
+    assert topics.per_second([1.0, 3.0], 5) == 0.5
     assert topics.per_second([1.0], 5) == 0.2
     assert topics.per_second([], 5) == 0
+
+
+@pytest.mark.parametrize("times", [[2.0, 2.001, 2.002], [2.0, 2.0, 2.0], [0.0, 0.001, 0.002]])
+def test_a_burst_is_no_rate(times: list[float]) -> None:
+    """Three messages in five seconds are not a thousand in one."""
+    assert topics.per_second(times, 5) == pytest.approx(0.6)

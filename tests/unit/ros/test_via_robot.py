@@ -35,18 +35,24 @@ class Ear:
 
 
 def line(data: bytes = b"noon", **more: object) -> bytes:
-    said = {"type": "T", "at": 7.5, "data": base64.b64encode(data).decode(), **more}
+    said = {"type": "T", "at": 7.5, "monotonic": 3.5, "data": base64.b64encode(data).decode(), **more}
     return json.dumps(said).encode() + b"\n"
 
 
 def test_the_command() -> None:
-    """The program of the robot's ROS, as one argument of the script."""
-    for version, part in ((1, "TCPROS"), (2, "rclpy")):
-        robot = ROBOT.model_copy(update={"ros": Ros(version=version)})
+    """The program of the robot's ROS, as one argument of the script; before it, the variable of containers that come first."""
+    shared = Ros(master="http://base:11311")
+    for ros, part, variable in (
+        (shared, "TCPROS", "ROS_MASTER_URI=http://base:11311"),
+        (Ros(), "TCPROS", "ROS_MASTER_URI=http://localhost:11311"),
+        (Ros(version=2, domain=7), "rclpy", "ROS_DOMAIN_ID=7"),
+    ):
+        robot = ROBOT.model_copy(update={"ros": ros})
         argv = via_robot.command(robot, "/time", timeout=10)
         assert argv[:2] == ("sh", "-c")
-        assert part in argv[4]
-        assert argv[5:] == ("/time", "--timeout", "10", "--all")
+        assert argv[4] == variable
+        assert part in argv[5]
+        assert argv[6:] == ("/time", "--timeout", "10", "--all")
 
 
 @given(st.lists(st.integers(1, 40), max_size=40), st.binary(max_size=300))
@@ -57,9 +63,9 @@ def test_lines_in_any_pieces(sizes: list[int], data: bytes) -> None:
     for size in (*sizes, len(whole)):
         ear.heard.on_output(whole[at : at + size])
         at += size
-    assert [(one.at, one.size, one.read()["data"]) for one in ear.messages] == [
-        (7.5, len(data), data),
-        (7.5, 5, b"later"),
+    assert [(one.at, one.monotonic, one.size, one.read()["data"]) for one in ear.messages] == [
+        (7.5, 3.5, len(data), data),
+        (7.5, 3.5, 5, b"later"),
     ]
     assert ear.messages[1].read()["definition"] == "string data"
     assert ear.containers == ["clock-talker-1"]
@@ -78,10 +84,14 @@ def test_whatever_the_robot_prints(pieces: list[bytes]) -> None:
     "said",
     [
         b"{}",
-        b'{"type": "T", "at": NaN, "data": ""}',
-        b'{"type": "T", "at": 1e999, "data": ""}',
+        line(at=float("nan")).strip(),
+        b'{"type": "T", "at": 1e999, "monotonic": 1, "data": ""}',
+        b'{"type": "T", "at": 1, "monotonic": -1e999, "data": ""}',
+        b'{"type": "T", "monotonic": 1, "data": "", "at": 1' + b"0" * 400 + b"}",
+        b'{"type": "T", "at": 1, "data": "", "monotonic": 1' + b"0" * 400 + b"}",
+        b'{"type": "T", "at": 1, "data": "", "monotonic": 1' + b"0" * 9000 + b"}",
         b'{"type": 1}',
-        b'{"type": "T", "at": 1, "data": "?"}',
+        b'{"type": "T", "at": 1, "monotonic": 1, "data": "?"}',
         b'{"a"',
         b"{" * 5000,
         b'{"at": {}, "data": ""}',
@@ -124,9 +134,24 @@ def test_reasons() -> None:
     assert (
         said.what == "/time is not heard on pi1 itself, in the container clock-talker-1: nobody publishes it"
     )
-    said = failure(b"", code=3)
-    assert isinstance(said, NotReady)
-    assert said.what == "no running container of pi1 can listen: none has rclpy"
+    tried = b"== wrong\n/time: no way\n== clock-talker-1\n/time: nobody publishes it\n== other\n/time: x\n== clock-talker-1\n"
+    assert failure(tried, code=4).what == said.what
+    for ros, lacks in ((Ros(version=2), "rclpy"), (Ros(), "Python 3")):
+        said = failure(b"", code=3, robot=ROBOT.model_copy(update={"ros": ros}))
+        assert isinstance(said, NotReady)
+        assert said.what == f"no container of pi1 can listen: none has {lacks}"
+    said = failure(b"== a\n/time: no connection to localhost port 11311\n== a\n", code=3)
+    assert said.what == "no container of pi1 can listen: no connection to localhost port 11311"
     said = failure(b"", code=1, errors="permission denied while trying to connect")
     assert said.what == "the containers of pi1 cannot be asked: permission denied while trying to connect"
     assert "code 137" in failure(b"== a\n", code=137).what
+
+
+def test_a_robot_that_names_containers_without_end() -> None:
+    """What is kept of them has a limit."""
+    ear = Ear()
+    for number in range(3000):
+        ear.heard.on_output(b"== " + str(number).encode() * 2000 + b"\nno\n")
+    kept = ear.heard._reasons  # noqa: SLF001
+    assert len(kept) == via_robot.MOST_CONTAINERS
+    assert max(map(len, kept)) == via_robot.LONGEST_NAME
