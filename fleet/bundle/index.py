@@ -62,7 +62,11 @@ class BundledImage:
 
 @dataclass(frozen=True, kw_only=True)
 class BundledStack:
-    """A robot's release of a stack, in ``releases/<file>``; times are in seconds, images are the names on the robot."""
+    """A robot's release of a stack, in ``releases/<file>``; times are in seconds, images are the names on the robot.
+
+    ``wants`` is what `install` looks for on the robot before it changes anything: pairs such as ``device /dev/ttyUSB0``,
+    ``port 80/tcp`` and ``name camera``.
+    """
 
     name: str
     release: str
@@ -70,6 +74,7 @@ class BundledStack:
     wait: int
     settle: int
     images: tuple[str, ...]
+    wants: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +125,7 @@ def text(bundle: Bundle) -> str:
             ("stack", robot.name, one.name, one.release, one.file, one.wait, one.settle, *one.images)
             for one in robot.stacks
         )
+        lines += (("wants", robot.name, one.name, *want) for one in robot.stacks for want in one.wants)
     return "".join(" ".join(map(str, words)) + "\n" for words in lines)
 
 
@@ -153,7 +159,7 @@ def _bundle(lines: Sequence[Sequence[str]]) -> Bundle:
         for diff_id, digest, size, unpacked in _of("layer", lines)
     }  # fmt: skip
     images = {words[0]: _image(words) for words in _of("image", lines)}
-    keys, stacks = list(_of("key", lines)), list(_of("stack", lines))
+    keys, stacks, wants = (list(_of(kind, lines)) for kind in ("key", "stack", "wants"))
     robots = tuple(
         BundledRobot(
             name=_sound(_NAME, name),
@@ -161,7 +167,11 @@ def _bundle(lines: Sequence[Sequence[str]]) -> Bundle:
             address=address,
             user="" if user == "-" else user,
             keys=tuple((kind, data) for owner, kind, data in keys if owner == name),
-            stacks=tuple(_stack(words[1:]) for words in stacks if words[0] == name),
+            stacks=tuple(
+                _stack(words[1:], [one[2:] for one in wants if one[:2] == words[:2]])
+                for words in stacks
+                if words[0] == name
+            ),
         )
         for name, platform, address, user in _of("robot", lines)
     )
@@ -193,7 +203,7 @@ def _image(words: Sequence[str]) -> BundledImage:
     return BundledImage(image=image, file=_sound(_HEX, file), ids=ids, offset=int(offset), length=int(length))
 
 
-def _stack(words: Sequence[str]) -> BundledStack:
+def _stack(words: Sequence[str], wants: Sequence[Sequence[str]]) -> BundledStack:
     name, release, file, wait, settle, *images = words
     return BundledStack(
         name=_sound(_NAME, name),
@@ -202,6 +212,7 @@ def _stack(words: Sequence[str]) -> BundledStack:
         wait=int(wait),
         settle=int(settle),
         images=tuple(images),
+        wants=tuple((kind, what) for kind, what in wants),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from fleet.bundle import index
 from fleet.bundle.index import Bundle, BundledImage, BundledRobot, BundledStack
 from fleet.bundle.write import Piece, parts, piece
 from fleet.config.compose import HOME
+from fleet.plan import claims, hardware
 from fleet.transfer import load_archive
 from fleet.transfer.load_archive import TargetImage
 
@@ -86,7 +88,7 @@ def make(
         images={one.image.shipped_as: one for one, _ in bundled},
         layers=layers,
     )
-    programs = [(name, onboard.source(name).encode()) for name in PROGRAMS]
+    programs = [(name, onboard.text(name).encode()) for name in PROGRAMS]
     folder = f"programs-{hashlib.sha256(b''.join(data for _, data in programs)).hexdigest()[:12]}"
     written = index.text(bundle).encode()
     read_me = _READ_ME.format(robots=", ".join(one.robot.name for one in members), made=made, by=by)
@@ -135,10 +137,25 @@ def _robot(one: Member, archives: Mapping[int, Piece]) -> BundledRobot:
                 wait=entry.wait,
                 settle=entry.settle,
                 images=tuple(image.shipped_as for image in entry.release.images),
+                wants=_wants(robot, entry.release),
             )
             for entry in one.entries
         ),
     )
+
+
+def _wants(robot: Robot, release: Release) -> tuple[tuple[str, str], ...]:
+    """What `plan.hardware` and `plan.claims` compare with facts, as far as a few lines of shell can."""
+    services = json.loads(release.compose)["services"].values()
+    devices = [*robot.hardware.devices, *(path for one in services for path in hardware.devices(one))]
+    # A port of one address only clashes with those of that address: Docker says that.
+    ports = [port for one in services for port in claims.published(one) if not port.address]
+    found = [
+        *(("device", path) for path in devices if path.startswith("/dev/") and path.split() == [path]),
+        *(("port", f"{port.number}/{port.protocol}") for port in ports),
+        *(("name", one["container_name"]) for one in services if one.get("container_name")),
+    ]
+    return tuple(dict.fromkeys(found))
 
 
 def _moved(one: Piece, path: str) -> Piece:

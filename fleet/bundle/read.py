@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
+import lzma
 import os
 import tarfile
 import tempfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +30,11 @@ if TYPE_CHECKING:
 
 _CHUNK = 1 << 20
 _AGAIN = "make the bundle again: `fab bundle`"
+_PUT_IN = "if the stick was pulled out, put it in and run the same command; else make the bundle again: `fab bundle`"
+_DAMAGED = (tarfile.TarError, EOFError, zlib.error, lzma.LZMAError, UnicodeDecodeError)
+"""What an archive raises, packed or not, that was cut short or edited."""
+_FOR_PEOPLE = ("install", "READ-ME.txt")
+"""No ship reads these: who has opened one in an editor keeps the bundle."""
 
 
 class BundleReader:
@@ -39,10 +47,10 @@ class BundleReader:
     def release(self, robot: str, stack: BundledStack) -> Release:
         """A robot's release of a stack. Raises `UsageError` if it cannot be read."""
         images = tuple(self.bundle.images[name].image for name in stack.images)
+        data = self._read(f"releases/{stack.file}")
         try:
-            data = (self._folder / "releases" / stack.file).read_bytes()
             return releases.unpacked(data, name=stack.release, stack=stack.name, robot=robot, images=images)
-        except (OSError, ValueError, KeyError, tarfile.TarError) as problem:
+        except (ValueError, KeyError, tarfile.TarError) as problem:
             what = f"release {stack.release} of {robot} in the bundle cannot be read: {problem}"
             raise UsageError(what, cure=_AGAIN) from problem
 
@@ -74,7 +82,7 @@ class BundleReader:
 
     def _config(self, one: BundledImage) -> bytes:
         """The configuration: the first member of the file after the headers of the layers."""
-        data = (self._folder / "images" / one.file).read_bytes()
+        data = self._read(f"images/{one.file}")
         at = BLOCK * len({self.bundle.layers[diff_id].digest for diff_id in one.image.layers})
         size = tarfile.TarInfo.frombuf(data[at : at + BLOCK], "utf-8", "strict").size
         config = data[at + BLOCK : at + BLOCK + size]
@@ -83,10 +91,19 @@ class BundleReader:
         return config
 
     def _layer(self, blob: Blob) -> Iterator[bytes]:
-        for part in sorted((self._folder / "layers").glob(f"{blob.hex}.[0-9][0-9]")):
-            with part.open("rb") as content:
-                while chunk := content.read(_CHUNK):
-                    yield chunk
+        left = blob.size
+        with _explained(f"layer {blob.hex[:12]} in the bundle {self._folder}"):
+            for part in sorted((self._folder / "layers").glob(f"{blob.hex}.[0-9][0-9]")):
+                with part.open("rb") as content:
+                    while chunk := content.read(_CHUNK):
+                        left -= len(chunk)
+                        yield chunk
+            if left:
+                raise OSError(errno.EIO, "it has another size than a moment ago")
+
+    def _read(self, name: str) -> bytes:
+        with _explained(f"{name} in the bundle {self._folder}"):
+            return (self._folder / name).read_bytes()
 
 
 @contextlib.contextmanager
@@ -95,6 +112,7 @@ def opened(path: Path) -> Generator[BundleReader]:
 
     Raises:
         UsageError: it is not a bundle, not whole, or has been edited.
+        DesktopError: the stick fails, or there is no room to unpack the archive.
 
     """
     if not path.exists():
@@ -102,37 +120,67 @@ def opened(path: Path) -> Generator[BundleReader]:
             f"there is no bundle {path}", cure="name the folder of the stick, or the tar archive"
         )
     with contextlib.ExitStack() as stack:
-        try:
+        with _explained(f"the bundle {path}"):
             folder = path if path.is_dir() else stack.enter_context(_untarred(path))
             digests = listed(folder)
             if not digests:
                 cure = f"a bundle has a file {SUMS}; if it is missing, `fab bundle` was interrupted: run it again"
                 raise UsageError(f"{path} is not a bundle of fleet, or not a whole one", cure=cure)
-            _check(folder, digests)
-            text = (folder / next(name for name in digests if name.startswith("index-"))).read_text()
-            reader = BundleReader(folder, index.parse(text))
-        except (OSError, tarfile.TarError, UnicodeDecodeError, StopIteration) as problem:
-            raise UsageError(f"the bundle {path} cannot be read: {problem}", cure=_AGAIN) from problem
+            _check(path, folder, digests)
+            name = next((one for one in digests if one.startswith("index-")), "index")
+            reader = BundleReader(folder, index.parse((folder / name).read_text(encoding="utf-8")))
         yield reader
+
+
+@contextlib.contextmanager
+def _explained(what: str) -> Generator[None]:
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is None:  # of a module that unpacks
+            raise UsageError(f"{what} was cut short or edited: {problem}", cure=_AGAIN) from problem
+        full = problem.errno in (errno.ENOSPC, errno.EDQUOT)
+        cure = "check that ~/.cache has free disk space: an archive is unpacked there" if full else _PUT_IN
+        raise DesktopError(f"{what} cannot be read: {problem.strerror}", cure=cure) from problem
+    except _DAMAGED as problem:
+        raise UsageError(f"{what} was cut short or edited: {problem}", cure=_AGAIN) from problem
+
+
+def _tar(path: Path) -> tarfile.TarFile:
+    try:
+        return tarfile.open(path)
+    except tarfile.ReadError as problem:
+        what = f"{path} is neither a folder nor a tar archive, or it was cut short"
+        raise UsageError(what, cure="name the folder of the stick, or the tar archive") from problem
 
 
 @contextlib.contextmanager
 def _untarred(path: Path) -> Generator[Path]:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet"
     cache.mkdir(parents=True, exist_ok=True)
-    with tarfile.open(path) as archive, tempfile.TemporaryDirectory(dir=cache, prefix="bundle-") as folder:
-        archive.extractall(folder, filter="data")
+    with tempfile.TemporaryDirectory(dir=cache, prefix="bundle-") as folder:
+        with _tar(path) as archive:
+            archive.extractall(folder, filter="data")
         yield Path(folder)
 
 
-def _check(folder: Path, digests: Mapping[str, str]) -> None:
-    """Check every file. Raises `UsageError` with the first one that is not what was written."""
+def _check(path: Path, folder: Path, digests: Mapping[str, str]) -> None:
+    """Check every file that a ship reads, of a bundle that people know as ``path``.
+
+    Raises:
+        UsageError: the first one that is not what was written.
+        OSError: the stick was pulled out, or is failing.
+
+    """
     for name, digest in digests.items():
+        if name in _FOR_PEOPLE:
+            continue
         try:
             with (folder / name).open("rb") as content:
                 found = hashlib.file_digest(content, "sha256").hexdigest()
         except (FileNotFoundError, NotADirectoryError):
-            raise UsageError(f"{name} is missing in the bundle {folder}", cure=_AGAIN) from None
+            (folder / SUMS).stat()  # of a stick that was pulled out, nothing is there any more
+            raise UsageError(f"{name} is missing in the bundle {path}", cure=_AGAIN) from None
         if found != digest:
-            what = f"{name} in the bundle {folder} is not what `fab bundle` wrote: it was cut short or edited"
+            what = f"{name} in the bundle {path} is not what `fab bundle` wrote: it was cut short or edited"
             raise UsageError(what, cure=_AGAIN)

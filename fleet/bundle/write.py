@@ -145,7 +145,8 @@ class Writer:
                     cure="use another folder, or move that file away",
                 )
             new = [one for one in pieces if not _is(folder / one.path, one)]
-            free = shutil.disk_usage(folder).free
+            # What was cut off goes before anything is written.
+            free = shutil.disk_usage(folder).free + sum(map(_size, self._left_over()))
         # A file system gives space in clusters, of up to 64 kB on a large stick.
         needed = sum(one.size + 65_536 for one in new)
         if needed > free:
@@ -160,26 +161,24 @@ class Writer:
     def write(self, pieces: Sequence[Piece], *, sign: Callable[[bytes], bytes] | None = None) -> Written:
         """Write what is new, make it the bundle of this folder, and remove what only the one before it needed.
 
-        ``sign`` makes a signature of SHA256SUMS. Raises as `plan`, and `DesktopError` if the stick fails or is full.
+        ``sign`` makes a signature of SHA256SUMS; it is asked before anything is written. Raises as `plan`, and `DesktopError` if the stick fails or is full.
         """
         pieces = list({one.path: one for one in pieces}.values())
-        new = self.plan(pieces)
+        new, text = self.plan(pieces), sums(pieces)
+        name = f"signed-{hashlib.sha256(text).hexdigest()[:12]}.sig"
+        signatures = [piece(name, sign(text))] if sign else []
+        keep = {one.path for one in (*pieces, *signatures)}
         with self._explained():
-            self._remove(path for path in self._folder.rglob("*.part") if _OURS(self._name(path)[:-5]))
+            self._remove(self._left_over())
             old = listed(self._folder)
             for one in new:
                 self._on_write(one.path, one.size)
                 self._put(one)
-            text = sums(pieces)
-            keep = {one.path for one in pieces}
-            if sign:
-                signature = piece(f"signed-{hashlib.sha256(text).hexdigest()[:12]}.sig", sign(text))
-                self._put(signature)
-                keep.add(signature.path)
-            self._put(piece(SUMS, text))
+            for one in (*signatures, piece(SUMS, text)):
+                self._put(one)
             outdated = old.keys() - keep
-            signatures = {path.name for path in self._folder.glob("signed-*.sig")} - keep
-            self._remove(self._folder / name for name in {*outdated, *signatures} if _OURS(name))
+            outdated |= {path.name for path in self._folder.glob("signed-*.sig")} - keep
+            self._remove(self._folder / name for name in outdated if _OURS(name))
             for folder in (
                 *self._folder.glob("programs-*"),
                 *map(self._folder.joinpath, ("layers", "images")),
@@ -188,6 +187,10 @@ class Writer:
                     folder.rmdir()  # only if it is empty
         written = sum(one.size for one in new)
         return Written(files=len(new), new=written, kept=sum(one.size for one in pieces) - written)
+
+    def _left_over(self) -> list[Path]:
+        """Files that an interrupted run has not finished."""
+        return [path for path in self._folder.rglob("*.part") if _OURS(self._name(path)[:-5])]
 
     def _put(self, one: Piece) -> None:
         path = self._folder / one.path
@@ -232,18 +235,24 @@ class Writer:
 
 
 def write_tar(path: Path, write: Callable[[Path], Written]) -> Written:
-    """Write a bundle as one tar archive, for a server or another computer. Raises as `Writer.write`."""
+    """Write a bundle as one tar archive, for a server or another computer. Raises as `Writer.write`.
+
+    Only its owner can read it: the releases' secrets are in it. (The files of a folder have the modes of the umask, because
+    a stick that is not FAT must be read by another user on the robot.)
+    """
     check_folder(path.parent)
-    part = path.with_name(f"{path.name}.part")
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".bundle-") as folder:
-            written = write(Path(folder))
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+            folder, part = Path(temporary, "bundle"), Path(temporary, "tar")
+            folder.mkdir()
+            written = write(folder)
+            part.touch(mode=0o600)
             with tarfile.open(part, "w", format=tarfile.PAX_FORMAT) as archive:
-                for name in sorted(one for one in Path(folder).rglob("*") if one.is_file()):
+                for name in sorted(one for one in folder.rglob("*") if one.is_file()):
                     archive.add(name, arcname=name.relative_to(folder).as_posix())
-        part.replace(path)
+            part.replace(path)
+        _sync(path.parent)
     except OSError as problem:
-        part.unlink(missing_ok=True)
         raise _refusal(path, problem) from problem
     return written
 

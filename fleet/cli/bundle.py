@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 from fleet.bundle import index
 from fleet.bundle.make import Entry, Member, PackedImage, make
 from fleet.bundle.write import Writer, check_folder, write_tar
+from fleet.cli import wanted, whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import whoami
 from fleet.cli.selection import select
-from fleet.cli.stacks import Stacks, warnings_of
 from fleet.cli.verb import verb
 from fleet.errors import UsageError
-from fleet.images.store import Store
 from fleet.ssh import known_hosts
 from fleet.transfer import layer_cache
 from fleet.transfer.layer_cache import LayerCache
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
 
     from fleet.bundle.write import Piece, Written
     from fleet.cli.console import AnyProgress
-    from fleet.cli.stacks import RobotStack
+    from fleet.cli.wanted import Wanted
     from fleet.config.inventory import Robot
+    from fleet.transfer.sender import Images
 
 _LINE = "bundle"
 """The name of the line of progress."""
@@ -60,12 +60,17 @@ def bundle(
     """
     if not out:
         raise UsageError("where to?", cure="fab bundle --out /media/me/STICK, or --out bundle.tar")
-    robots, screen, target = select(inventory, hosts)[1], Screen(), Path(out).expanduser()
+    fleet, robots = select(inventory, hosts)
+    screen, target = Screen(), Path(out).expanduser()
+    whose.once(robots, among=fleet.robots.values())
     check_folder(target.parent if _is_tar(target) else target)
-    with screen.progress() as progress, Stacks() as stacks, Store() as store:
-        found = stacks.of(robots, only=stack)
-        screen.warnings(warnings_of(found))
-        pieces = _pieces(stacks, robots, found, store=store, progress=progress)
+    if sign and not Path(sign).expanduser().is_file():
+        raise UsageError(f"there is no key {sign}", cure="name an SSH key, such as --sign ~/.ssh/id_ed25519")
+    with (
+        screen.progress() as progress,
+        wanted.opened(robots, out_of="", only=stack, screen=screen) as (images, releases),
+    ):
+        pieces = _pieces(robots, releases, images=images, progress=progress)
         writer = _writer(progress)
         new = pieces if dry and _is_tar(target) else writer(target).plan(pieces) if dry else []
         written = None if dry else _written(target, pieces, writer=writer, sign=sign)
@@ -95,11 +100,10 @@ def _report(target: Path, robots: Sequence[Robot], written: Written, screen: Scr
 
 
 def _pieces(
-    stacks: Stacks,
     robots: Sequence[Robot],
-    found: Mapping[str, Sequence[RobotStack]],
+    releases: Mapping[str, Sequence[Wanted]],
     *,
-    store: Store,
+    images: Images,
     progress: AnyProgress,
 ) -> list[Piece]:
     """The files of a bundle for robots. Each image is packed once."""
@@ -108,18 +112,17 @@ def _pieces(
             robot=robot,
             keys=_keys(robot),
             entries=[
-                Entry(release=release, wait=one.wait, settle=one.spec.settle)
-                for one, release in stacks.releases(robot, found[robot.name], store)
+                Entry(release=one.release, wait=one.wait, settle=one.settle) for one in releases[robot.name]
             ],
         )
         for robot in robots
     ]
-    cache = LayerCache(directory=layer_cache.folder(), export=store.export, pushed=store.pushed)
-    images = {
+    cache = LayerCache(directory=layer_cache.folder(), export=images.export, pushed=images.pushed)
+    needed = {
         image.shipped_as: image for one in members for entry in one.entries for image in entry.release.images
     }
     packed = []
-    for image in images.values():
+    for image in needed.values():
         progress.step_started(_LINE, f"pack {image.reference}", None)
         layers = cache.pack(image, image.layers, index.ENCODING)
         packed.append(PackedImage(image=image, config=cache.config(image), layers=layers))

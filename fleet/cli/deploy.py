@@ -14,6 +14,7 @@ from fleet.cli.execute import execute, whoami
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
+from fleet.config import yamlfile
 from fleet.errors import UsageError
 from fleet.plan import containers, readiness
 from fleet.plan import prune as prune_old
@@ -72,7 +73,7 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
     login user use Docker, and runs a test container. It skips each part that is already right.
     """
     fleet, robots = select(inventory, hosts)
-    scripts = docker_script.Scripts(base=fleet.path.parent)
+    scripts = docker_script.Scripts(base=yamlfile.folder(fleet.path))
 
     def make(robot: Robot, facts: Facts) -> list[Plan]:
         text = scripts.fetch(robot.docker) if provisioning.needs_script(facts) else b""

@@ -132,7 +132,10 @@ def _read(path: Path, *, check: Check, chain: tuple[Path, ...]) -> tuple[Roster,
     """What the file at ``path`` brings and what is wrong with it; ``chain`` are the files being read around it."""
     try:
         source = yamlfile.text(
-            path, error=InventoryError, cure="go to the folder that has it, or write one here with `fab init`"
+            path,
+            error=InventoryError,
+            cure="go to the folder that has it, or write one here with `fab init`",
+            once=True,
         )
         document, duplicates = yamlfile.parse(source, path=path, error=InventoryError)
     except InventoryError as bad:
@@ -150,7 +153,7 @@ class _File:
         self.problems: list[yamlfile.Problem] = []
         self.included_problems: list[str] = []
         self._document = document
-        self._folder = document.path.parent.resolve()
+        self._folder = yamlfile.folder(document.path).resolve()
         self._check = check
         self._chain = chain
         self._drafts: dict[str, Draft] = {}
@@ -184,7 +187,7 @@ class _File:
         if path.resolve() in self._chain:
             self._problem(location, "a file cannot include itself, not by way of another either")
             return
-        shown = self._document.path.parent / entry["path"]
+        shown = yamlfile.folder(self._document.path) / entry["path"]
         roster, problems = _read(shown, check=self._check, chain=self._chain)
         self.included_problems += problems
         for name, draft in roster.drafts.items():

@@ -23,7 +23,7 @@ class Service:
 
     ``image`` is the reference that its file names, or Compose's default name for what it builds. ``platform`` is empty
     if the file leaves that to the robot. ``build`` is Compose's ``build:``, or None for an image that is only pulled.
-    ``start_period`` is in seconds. ``checked``: the file has a health check (True), switches the image's off (False),
+    ``retries`` are those of ``restart: on-failure:3``, 0 without a limit. ``start_period`` is in seconds. ``checked``: the file has a health check (True), switches the image's off (False),
     or leaves it to the image (None).
     """
 
@@ -32,6 +32,7 @@ class Service:
     platform: str = ""
     build: Mapping[str, Any] | None = None
     restart: Restart = "no"
+    retries: int = 0
     replicas: int = 1
     checked: bool | None = None
     start_period: float = 0.0
@@ -101,6 +102,7 @@ def _service(name: str, value: Mapping[str, Any], *, project: str) -> Service:
         platform=str(value.get("platform") or ""),
         build=value.get("build"),
         restart=_restart(value),
+        retries=_retries(value),
         replicas=1 if replicas is None else int(replicas),
         checked=None if check is None else not disabled,
         start_period=0.0 if disabled or not check else seconds(str(check.get("start_period") or "0s")),
@@ -114,6 +116,13 @@ def _restart(value: Mapping[str, Any]) -> Restart:
     if written in ("always", "unless-stopped", "any"):
         return "always"
     return "on-failure" if written == "on-failure" else "no"
+
+
+def _retries(value: Mapping[str, Any]) -> int:
+    """How often Docker starts a container again that fails; 0 if there is no limit."""
+    policy = (value.get("deploy") or {}).get("restart_policy") or {}
+    written = str(value.get("restart") or "").partition(":")[2] or str(policy.get("max_attempts") or "")
+    return int(written) if _restart(value) == "on-failure" and written.isdecimal() else 0
 
 
 def _mounts(model: Mapping[str, Any], project: Project) -> Iterable[Mount]:

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 LARGEST = 1_000_000
 """Bytes of a file. Two hundred robots have 0.1 MB; a device such as /dev/zero has no end."""
 
+_OF_THE_SHELL = re.compile(r"/dev/stdin|/dev/fd/\d+|/proc/(self|thread-self|\d+)/fd/\d+").fullmatch
+"""What a shell puts in the place of ``<(...)``, and what people write for its pipes."""
+
 Value = str | int | float | bool | list["Value"] | dict[str, "Value"] | None
 Location = Sequence[str | int]
 Problem = tuple[int, str]
@@ -125,18 +128,25 @@ def read(path: Path, *, error: type[UsageError], cure: str = "") -> Document:
     return document
 
 
-def text(path: Path, *, error: type[UsageError], cure: str = "") -> str:
-    """The text of the file at ``path``; raises ``error`` as `read` does, and for a file that is larger than `LARGEST`."""
+def folder(path: Path) -> Path:
+    """The folder from which the paths in a file count: its own, or for a pipe of the shell that in which the person is."""
+    return Path.cwd() if _OF_THE_SHELL(str(path)) else path.parent
+
+
+def text(path: Path, *, error: type[UsageError], cure: str = "", once: bool = False) -> str:
+    """The text of the file at ``path``; raises ``error`` as `read` does, and for a file that is larger than `LARGEST`.
+
+    A pipe is refused: nobody may write to it, and it can be read only once. If ``once`` is enough, those of a shell are read.
+    """
     try:
-        # A shell's `<(...)` is a pipe too, and somebody writes to it.
-        if path.is_fifo() and path.parent != Path("/dev/fd"):
+        if path.is_fifo() and not (once and _OF_THE_SHELL(str(path))):
             raise error(f"{path} is a pipe", cure="name a YAML file")
         with path.open("rb") as file:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise error(
                 f"{path} has more than {human_bytes(LARGEST)}",
-                cure="name a YAML file; 200 robots need 0.1 MB",
+                cure="name a YAML file",
             )
         return data.decode("utf-8-sig")
     except FileNotFoundError:

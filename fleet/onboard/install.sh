@@ -15,11 +15,14 @@ Run it on the robot, as the user that fab logs in as, in the folder of the stick
 END
     }
     set -u
+    export LC_ALL=C # the words of tools are read
     say() { printf '%s\n' "$*"; }
     fail() { # WHAT CURE
         printf '%s\n  cure: %s\n' "$1" "$2" >&2
         exit 1
     }
+    in_words() { printf '%s\n' "$1" | paste -sd ' ' | sed 's/ /, /g'; }
+    has() { printf '%s\n' "$1" | grep -qxF -e "$2"; } # LINES LINE
     pulled='if the stick was pulled out, put it in and run the same command: it goes on where it stopped; what ran before still runs'
 
     older='' renamed='' prefer=robot robot=''
@@ -41,53 +44,96 @@ END
         esac
         shift
     done
-    stick=$(cd "$(dirname "$0")" && pwd) || exit 1
+    unreadable() { fail "$1 cannot be read from the stick" "$pulled"; } # FILE
+    stick=$(cd "$(dirname "$0")" 2>/dev/null && pwd) || unreadable install
     cd "${HOME:?}" || exit 1
 
     # --- What is on the stick
 
-    [ -s "$stick/SHA256SUMS" ] || fail "the bundle in $stick is not whole: SHA256SUMS is missing" \
-        'run `fab bundle` again: it was interrupted'
-    damaged=$(cd "$stick" && grep -E '^[0-9a-f]{64}  (index-|images/|releases/|programs-)' SHA256SUMS | sha256sum -c 2>/dev/null |
-        grep -v ': OK$' | head -n 1)
-    [ -z "$damaged" ] || fail "${damaged%%:*} on the stick is not what fab bundle wrote: it was cut short or edited" \
-        'make the bundle again: `fab bundle`'
-    named() { sed -n "s/^[0-9a-f]*  \\($1.*\\)/\\1/p" "$stick/SHA256SUMS" | head -n 1; }
-    index=$(cat "$stick/$(named index-)") || fail 'the stick cannot be read' "$pulled"
+    edited() { # FILE
+        fail "$1 on the stick is not what fab bundle wrote: it was cut short or edited" 'make the bundle again: `fab bundle`'
+    }
+    missing() { # FILE; if the stick was pulled out, its folders are not there either, although single files may seem to be
+        names=$(ls "$stick" "$stick/${1%/*}" 2>/dev/null)
+        if ! has "$names" install || has "$names" "${1##*/}"; then unreadable "$1"; fi
+        fail "$1 is missing on the stick" 'make the bundle again: `fab bundle`'
+    }
+    names=$(ls "$stick" 2>/dev/null)
+    if has "$names" install && ! has "$names" SHA256SUMS; then
+        fail "the bundle in $stick is not whole: SHA256SUMS is missing" 'run `fab bundle` again: it was interrupted'
+    fi
+    sums=$(cat "$stick/SHA256SUMS" 2>/dev/null) || unreadable SHA256SUMS
+    if ! checked=$(cd "$stick" 2>/dev/null && printf '%s\n' "$sums" |
+        grep -E '^[0-9a-f]{64}  (index-|images/|releases/|programs-)' | sha256sum -c 2>/dev/null); then
+        checked=$(printf '%s\n' "$checked" | grep -v ': OK$' | head -n 1)
+        file=${checked%%:*}
+        [ -e "$stick/${file:=SHA256SUMS}" ] || missing "$file"
+        case $checked in *': FAILED open or read') unreadable "$file" ;; esac
+        edited "$file"
+    fi
+    named() { printf '%s\n' "$sums" | sed -n "s/^[0-9a-f]*  \\($1.*\\)/\\1/p" | head -n 1; }
+    index=$(cat "$stick/$(named index-)" 2>/dev/null) || unreadable 'the index'
     [ "$(printf '%s\n' "$index" | head -n 1)" = 'fleet-bundle 1' ] ||
         fail 'the bundle was made by another version of fleet than this program' 'make it again: `fab bundle`'
     programs=$stick/$(named programs-)
     programs=${programs%/*}
-    program() { cat "$programs/$1.sh" || fail "$1.sh cannot be read from the stick" "$pulled"; }
+    program() { cat "$programs/$1.sh" 2>/dev/null || unreadable "$1.sh"; }
     receive=$(program receive) && prove_image=$(program prove_image) && unpack_release=$(program unpack_release) &&
         detach=$(program detach) && swap=$(program swap) || exit 1
     words() { printf '%s\n' "$index" | awk "$@"; } # AWK-ARGUMENT...
     made=$(words '$1 == "made" { print $2 }')
     who=$(words '$1 == "by" { print $2 }')
     robots=$(words '$1 == "robot" { print $2 }')
-    in_words() { printf '%s\n' "$1" | paste -sd ' ' | sed 's/ /, /g'; }
-    has() { printf '%s\n' "$1" | grep -qxF -e "$2"; }
 
-    # A signature counts if its key may log in here.
-    signed='not signed'
-    for signature in "$stick"/signed-*.sig; do
-        [ -e "$signature" ] || continue
-        signers=$(mktemp) || exit 1
+    # The keys that may log in here and do all, as ssh-keygen wants them; options may have blanks in quotes.
+    signers() {
+        awk '
+            function is_key(word) { return word ~ /^(ssh-(ed25519|rsa)|ecdsa-sha2-nistp[0-9]+|sk-[a-z0-9-]+@openssh\.com)$/ }
+            { gsub(/\r/, ""); sub(/^[ \t]+/, ""); options = "" }
+            /^#/ { next }
+            !is_key($1) {
+                quoted = 0
+                for (i = 1; i <= length($0); i++) {
+                    letter = substr($0, i, 1)
+                    if (letter == "\\") i++
+                    else if (letter == "\"") quoted = !quoted
+                    else if (!quoted && letter ~ /[ \t]/) break
+                }
+                options = tolower(substr($0, 1, i - 1))
+                $0 = substr($0, i)
+            }
+            is_key($1) && options !~ /(^|,)(cert-authority|command=|principals=)/ { print "fleet", $1, $2 }' \
+            .ssh/authorized_keys 2>/dev/null
+    }
+    # What to say of a signature: it counts if its key may log in here. Fails if there is no such key.
+    judged() { # FILE
         if ! command -v ssh-keygen >/dev/null; then
-            signed='its signature cannot be checked: ssh-keygen is missing'
-        elif grep -oE '(ssh-(ed25519|rsa)|ecdsa-sha2-nistp[0-9]+|sk-[a-z0-9-]+@openssh.com) [A-Za-z0-9+/=]+' \
-            .ssh/authorized_keys 2>/dev/null | sed 's/^/fleet /' >"$signers"; then
-            if ssh-keygen -Y verify -f "$signers" -I fleet -n fleet-bundle -s "$signature" \
-                <"$stick/SHA256SUMS" >/dev/null 2>&1; then
-                signed='signed with a key that may log in here'
-            else
-                signed=bad
-            fi
+            echo 'its signature cannot be checked: ssh-keygen is missing'
+            return
         fi
-        rm -f "$signers"
-        [ "$signed" != bad ] || fail 'the signature of this bundle is not by a key that may log in to this robot' \
-            'sign with a key of ~/.ssh/authorized_keys here, or make the bundle without --sign'
-    done
+        case $(ssh-keygen -Y 2>&1) in *'requires an argument'*) ;; *)
+            echo 'its signature cannot be checked: OpenSSH here is older than 8.1'
+            return
+            ;;
+        esac
+        allowed=$(mktemp) || exit 1
+        signers >"$allowed"
+        ssh-keygen -Y verify -f "$allowed" -I fleet -n fleet-bundle -s "$1" <"$stick/SHA256SUMS" >/dev/null 2>&1
+        code=$?
+        rm -f "$allowed"
+        [ "$code" != 0 ] || echo 'signed with a key that may log in here'
+        return "$code"
+    }
+    # Its name says of which list it is: a bundle that was interrupted may have left its signature beside the one before.
+    signed='not signed'
+    signature=signed-$(sha256sum <"$stick/SHA256SUMS" | cut -c1-12).sig
+    if [ -e "$stick/$signature" ]; then
+        signed=$(judged "$stick/$signature") || {
+            cat "$stick/$signature" "$stick/SHA256SUMS" >/dev/null 2>&1 || unreadable "$signature"
+            fail 'the signature of this bundle is not by a key that may log in to this robot' \
+                'sign with a key of ~/.ssh/authorized_keys here, or make the bundle without --sign'
+        }
+    fi
     say "bundle of $made by $who ($signed), for: $(in_words "$robots")"
 
     # --- Which robot this is
@@ -100,12 +146,14 @@ END
     shipped=$(docker ps --all --filter label=fleet.robot --format '{{.Label "fleet.robot"}}' 2>/dev/null | sort -u)
     if [ -z "$robot" ]; then
         by_address=$(words -v name="$name" '$1 == "robot" { split($4, part, "."); if (part[1] == name) print $2 }')
+        # Cards that were copied have one host key: then the next of these decides between their robots.
         for found in "$by_key" "$shipped" "$name" "$by_address"; do
-            if has "$robots" "$found"; then
-                robot=$found
-                break
-            fi
+            both=$(printf '%s\n' "${robot:-$robots}" | grep -xF -e "$found") || continue
+            robot=$both
+            [ "$(printf '%s\n' "$robot" | wc -l)" != 1 ] || break
         done
+        case $robot in *'
+'*) fail "this computer ($name) may be each of $(in_words "$robot")" 'say which robot it is: sh install ROBOT' ;; esac
         [ -n "$robot" ] || fail "the bundle has releases for $(in_words "$robots"), and nothing says that this computer ($name) is one of them" \
             'say which robot it is: sh install ROBOT'
     fi
@@ -218,6 +266,17 @@ END
             'free some: `docker system df` shows what Docker uses; nothing was changed'
     }
 
+    on_stick() { # FILE SIZE: all of its parts are there
+        [ -e "$stick/$1.01" ] || missing "$1.01"
+        there=$(stat -c %s "$stick/$1".[0-9][0-9] 2>/dev/null | awk '{ n += $1 } END { printf "%.0f\n", n }')
+        [ "$there" = "$2" ] || edited "$1.01"
+    }
+    uncopied() { # FILE
+        have=$(free "$work")
+        [ "${have:-1000001}" -gt 1000000 ] || fail 'the disk of this robot is full' 'free some: `df -h`; nothing was changed'
+        unreadable "$1"
+    }
+
     # Answers what receive.sh asks for. A stick that cannot be read ends it, and so the transfer; the spool keeps what came.
     serve() {
         while read -r word digest offset; do
@@ -233,7 +292,7 @@ END
                             offset=$((offset - size))
                             continue
                         fi
-                        tail -c "+$((offset + 1))" "$part" || exit 1
+                        tail -c "+$((offset + 1))" "$part" 2>/dev/null || exit 1
                         offset=0
                     done
                     ;;
@@ -258,10 +317,11 @@ END
         sent=$(($(wc -l <"$work/send")))
         say "$image: $sent of $headers layers are missing, $(awk '{ n += $3 } END { printf "%.1f", n / 1e6 }' "$work/send") MB"
         room
+        while read -r _ digest size _; do on_stick "layers/$digest" "$size"; done <"$work/send"
         (
             while read -r place _; do dd if="$stick/images/$file" bs=512 skip="$place" count=1 status=none || exit 1; done <"$work/send"
             tail -c "+$((headers * 512 + 1))" "$stick/images/$file"
-        ) >"$work/skeleton" || fail "images/$file cannot be read from the stick" "$pulled"
+        ) >"$work/skeleton" 2>/dev/null || uncopied "images/$file"
         skeleton=$(sha256sum <"$work/skeleton" | cut -c1-64)
         set -- "upload $skeleton $(stat -c %s "$work/skeleton")"
         while read -r _ digest size _; do set -- "$@" "upload $digest $size"; done <"$work/send"
@@ -292,6 +352,8 @@ END
                 *) fail "$1 could not be loaded: $(tail -n 1 "$work/errors")" 'run the same command again; what ran before still runs' ;;
             esac
         done
+        damaged=$(sed -n 's/^upload \([0-9a-f]*\) arrived damaged$/\1/p' "$work/errors")
+        [ -z "$damaged" ] || edited "layers/$damaged.01"
         fail "$1 arrived, and Docker cannot use it: $(tail -n 1 "$work/errors")" 'make the bundle again: `fab bundle`; what ran before still runs'
     }
 
@@ -299,6 +361,7 @@ END
     runs() { # STACK RELEASE
         here=.fleet/stacks/$1
         [ "$(readlink "$here/current" 2>/dev/null)" = "releases/$2" ] && [ ! -s "$here/journal" ] || return 1
+        [ ! -e "$here/dev/state" ] || return 1 # its containers have files of `fab dev`
         docker ps --all --quiet --no-trunc --filter "label=com.docker.compose.project=$1" --filter label=com.docker.compose.oneoff=False |
             xargs -r docker inspect --format '{{.ID}} {{index .Config.Labels "com.docker.compose.service"}} {{index .Config.Labels "fleet.release"}} {{.State.Status}} {{.State.ExitCode}} {{with .State.Health}}{{.Status}}{{else}}none{{end}}' |
             proved=$(cat "$here/proved" 2>/dev/null) awk -v release="$2" -v services="$(tr '\n' ' ' <"$here/current/services")" '
@@ -327,6 +390,23 @@ END
             END { if (last) print last }' ".fleet/stacks/$1/history" 2>/dev/null
     }
 
+    # What `fab ship` asks too before it sends anything: devices, and names and ports that other containers have. What is
+    # wanted and not to be had, a cure in the second line.
+    unmet() { # STACK
+        project='{{.Label "com.docker.compose.project"}}'
+        words -v robot="$robot" -v stack="$1" '$1 == "wants" && $2 == robot && $3 == stack { print $4, $5 }' |
+            while read -r kind what; do
+                has=''
+                case $kind in
+                    device) [ -e "$what" ] || printf '%s\n' "$what, which this robot does not have" 'plug it in' ;;
+                    port) has=$(docker ps --filter "publish=$what" --format "{{.Names}} $project" </dev/null) ;;
+                    name) has=$(docker ps --all --format "{{.Names}} $project" </dev/null | what=$what awk '$1 == ENVIRON["what"]') ;;
+                esac
+                printf '%s\n' "$has" | awk -v stack="$1" -v what="$kind $what" '
+                    $1 && $2 != stack { print what ", which container " $1 " has"; print "stop the other one: `docker rm -f " $1 "`" }'
+            done
+    }
+
     install_stack() { # STACK RELEASE FILE WAIT SETTLE IMAGE...
         stack=$1 release=$2 file=$3 wait=$4 settle=$5
         shift 5
@@ -339,9 +419,12 @@ END
                 "make a new bundle; or, to have release $release anyway: sh install $robot --older"
         fi
         say "$robot: release $release of $stack"
+        problem=$(runs "$stack" "$release" || unmet "$stack")
+        [ -z "$problem" ] ||
+            fail "the release wants $(printf '%s\n' "$problem" | head -n 1)" "$(printf '%s\n' "$problem" | sed -n 2p); nothing was changed"
         rm -rf "$work/release"
-        mkdir -p "$work/release"
-        tar -x -p -f "$stick/releases/$file" -C "$work/release" || fail "releases/$file cannot be read from the stick" "$pulled"
+        mkdir -m 700 "$work/release" || exit 1 # secrets are in it
+        tar -x -p -f "$stick/releases/$file" -C "$work/release" 2>/dev/null || uncopied "releases/$file"
         sed -i "s|/home-of-the-robots-login|$HOME|g" "$work/release/compose.yaml" || exit 1
         [ ! -e "$work/release/boot" ] || systemctl is-enabled fleet-boot >/dev/null 2>&1 ||
             fail 'systemd shall start this release at power-on, and fleet-boot.service is not installed' \

@@ -9,7 +9,8 @@
 # without a restart.
 # CONFLICT is robot or desktop: whose version of a file wins that both have changed.
 #
-# A release's file `services` names those that must run, each with its restart policy: no, on-failure or always.
+# A release's file `services` names those that must run, each with its restart policy: no, on-failure (with
+# `boot: systemd` also on-failure:3) or always.
 #
 # One process at a time holds the lock, and the journal says what it is about to do. The result is written by this
 # process, in the same breath as `current`, so that nobody has to be connected to hear it. After a power cut it is run again

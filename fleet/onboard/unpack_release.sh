@@ -13,6 +13,7 @@ chmod 700 "$part"
 # Whoever removes old releases leaves this one alone until it is started, or for an hour (remove_releases.sh).
 : >"${1%/*}/.shipping-${1##*/}"
 tar -x -p -f - -C "$part"
+chmod 700 "$part" # an archive may have a mode for the folder itself
 # The last file of the archive: tar is content with an archive that was cut between two files.
 [ -e "$part/services" ]
 # Another desktop may write the same release just now.
@@ -20,6 +21,7 @@ exec 9>>"${1%/*}/.unpacking"
 flock 9
 if diff -r "$1" "$part" >/dev/null 2>&1; then
     rm -rf "$part"
+    chmod 700 "$1"
 else
     find "$part" -exec sync {} + 2>/dev/null || sync
     if [ -e "$1" ]; then mv -T "$1" "$1.replaced.$$.part"; fi

@@ -32,7 +32,7 @@ def check(release: Release, claims: tuple[Claim, ...]) -> None:
                 f"service {service} wants the container name {name}, which {_owner(taken)} has",
                 cure=f"change `container_name:` of {service}, or remove the other one: {_removal(taken)}",
             )
-        for port in _published(value):
+        for port in published(value):
             if taken := next((claim for claim in others if any(map(port.clashes, claim.ports))), None):
                 raise Refused(
                     f"service {service} wants port {port.number}/{port.protocol} of the robot, which {_owner(taken)} has",
@@ -52,7 +52,7 @@ def _removal(claim: Claim) -> str:
     )
 
 
-def _published(service: Mapping[str, Any]) -> Iterator[Port]:
+def published(service: Mapping[str, Any]) -> Iterator[Port]:
     """The ports of the robot that a service of the canonical model asks for by number."""
     for port in service.get("ports") or ():
         first, _, last = str(port.get("published") or "").partition("-")

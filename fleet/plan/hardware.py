@@ -38,7 +38,7 @@ def check(robot: Robot, release: Release, facts: Facts) -> None:
         _check_runtime(name, service, robot, facts)
         for reserved in _reserved(service):
             _check_gpu(name, reserved, robot, facts)
-        for device in _devices(service):
+        for device in devices(service):
             _check_device(f"service {name} wants {device}", device, robot, facts)
         _check_ports(name, service, robot, facts)
 
@@ -158,7 +158,7 @@ def _reserved(service: Mapping[str, Any]) -> Iterable[Mapping[str, Any]]:
     return (resources.get("reservations") or {}).get("devices") or ()
 
 
-def _devices(service: Mapping[str, Any]) -> Iterable[str]:
+def devices(service: Mapping[str, Any]) -> Iterable[str]:
     """The paths of the robot's devices that a service of a release has."""
     for one in service.get("devices") or ():
         yield one["source"] if isinstance(one, dict) else one.partition(":")[0]

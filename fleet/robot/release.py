@@ -14,18 +14,18 @@ import re
 import tarfile
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from fleet.config.compose import HOME
 from fleet.config.project_files import File, ProjectFiles, on_robot
-from fleet.config.stack import Service, is_cdi_name, literal
+from fleet.config.stack import Restart, Service, is_cdi_name, literal
 from fleet.robot import paths
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from fleet.config.compose import Project
-    from fleet.config.stack import Restart, Stack
+    from fleet.config.stack import Stack
     from fleet.config.validation import Boot
     from fleet.images.image import Image
 
@@ -60,7 +60,9 @@ class Release:
             "compose.yaml": File(data=text.encode(), mode=0o600),
             # For those who start and watch it: which services must run, and which folders of data there are.
             "services": File(
-                data="".join(f"{one.name}={one.restart}\n" for one in _must_run(self.services)).encode()
+                data="".join(
+                    f"{one.name}={_written(one, self.boot)}\n" for one in _must_run(self.services)
+                ).encode()
             ),
             "data-folders": File(data="".join(f"{name}\n" for name in self.folders).encode()),
             **({"boot": File(data=b"systemd\n")} if self.boot == "systemd" else {}),
@@ -107,7 +109,9 @@ def compose(
     if boot == "systemd":
         _leave_to_systemd(model)
     ours = {**files.files, **rendering.files}
-    digest = _digest(model, ours, files, images)
+    # With `boot: systemd` the model has no policies any more.
+    policies = {one.name: _written(one, boot) for one in _must_run(stack.services)}
+    digest = _digest(model, ours, files, images, policies=policies if boot == "systemd" else None)
     labels = {"fleet.release": digest, "fleet.stack": stack.name, "fleet.robot": robot}
     for service in model["services"].values():
         service["labels"] = {**(service.get("labels") or {}), **labels}
@@ -144,7 +148,7 @@ def unpacked(data: bytes, *, name: str, stack: str, robot: str, images: tuple[Im
     policies = (line.partition("=") for line in files["services"].data.decode().splitlines())
     model = json.loads(text)["services"]
     services = {
-        service: Service(name=service, image=model[service]["image"], restart=_policy(policy))
+        service: Service(name=service, image=model[service]["image"], **_policy(policy))
         for service, _, policy in policies
     }
     return Release(
@@ -184,16 +188,27 @@ def _below(folder: str, files: Mapping[str, File]) -> dict[str, File]:
     return {name.removeprefix(folder): file for name, file in files.items() if name.startswith(folder)}
 
 
-def _policy(word: str) -> Restart:
-    match word:
-        case "no" | "on-failure" | "always":
-            return word
-        case _:
-            raise ValueError(word)
+def _written(service: Service, boot: Boot) -> str:
+    """The restart policy of a service, for the file ``services``; who counts retries is Docker, or `boot.sh`."""
+    return (
+        f"{service.restart}:{service.retries}" if boot == "systemd" and service.retries else service.restart
+    )
+
+
+def _policy(words: str) -> dict[str, Any]:
+    word, _, retries = words.partition(":")
+    if word not in get_args(Restart):
+        raise ValueError(words)
+    return {"restart": word, "retries": int(retries or 0)}
 
 
 def _digest(
-    model: Mapping[str, Any], ours: Mapping[str, File], files: ProjectFiles, images: Mapping[str, Image]
+    model: Mapping[str, Any],
+    ours: Mapping[str, File],
+    files: ProjectFiles,
+    images: Mapping[str, Image],
+    *,
+    policies: Mapping[str, str] | None,
 ) -> str:
     """The ID of a release: all that it consists of."""
     content = {
@@ -202,6 +217,7 @@ def _digest(
         "seeds": {name: file.digest for name, file in files.seeds.items()},
         "folders": files.folders,
         "images": {service: image.fingerprint for service, image in images.items()},
+        **({"policies": policies} if policies is not None else {}),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 

@@ -330,4 +330,7 @@ def test_what_travels_is_the_same_script() -> None:
         text = onboard.text(path.name)
         assert subprocess.run(("sh", "-n", "-c", text), check=False).returncode == 0, path
         assert text.splitlines()[:2] == path.read_text().splitlines()[:2]
-        assert len(text) < len(path.read_text())
+        assert text.splitlines()[2] == onboard.ENGLISH, path
+        assert len(text) < len(path.read_text()) + len(onboard.ENGLISH)
+    for name in ("boot.sh", "install.sh"):  # which do not travel as text
+        assert onboard.ENGLISH in onboard.source(name)

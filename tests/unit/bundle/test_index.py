@@ -11,9 +11,17 @@ from tests.support.bundles import bundle
 
 
 def test_what_is_written_can_be_read() -> None:
-    """All of it, also a robot's keys."""
+    """All of it, also a robot's keys, and what its release wants."""
     whole, _ = bundle()
-    robots = tuple(replace(one, keys=(("ssh-ed25519", "AAAA"),)) for one in whole.robots)
+    wants = (("device", "/dev/ttyUSB0"), ("port", "80/tcp"))
+    robots = tuple(
+        replace(
+            one,
+            keys=(("ssh-ed25519", "AAAA"),),
+            stacks=tuple(replace(stack, wants=wants) for stack in one.stacks),
+        )
+        for one in whole.robots
+    )
     whole = replace(whole, robots=robots)
     assert index.parse(index.text(whole)) == whole
     assert whole.robot("pi2").stacks[0].name == "talker"

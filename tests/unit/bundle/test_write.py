@@ -6,6 +6,7 @@ import os
 import shutil
 import stat
 import subprocess
+import tarfile
 from typing import TYPE_CHECKING
 
 import pytest
@@ -154,10 +155,57 @@ def test_a_signature_lies_beside_the_list_that_it_is_of(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("signed-*.sig"))
 
 
+def test_a_key_that_does_not_sign_costs_nothing(tmp_path: Path) -> None:
+    """The bundle before stays, and nothing of the new one is written."""
+    Writer(tmp_path).write(bundle("pi1")[1])
+    before = {name: (tmp_path / name).read_bytes() for name in files(tmp_path)}
+
+    def refuse(_: bytes) -> bytes:
+        raise UsageError("no-key did not sign")
+
+    with pytest.raises(UsageError, match="did not sign"):
+        Writer(tmp_path).write(bundle("pi1", "pi2", made=LATER)[1], sign=refuse)
+    assert {name: (tmp_path / name).read_bytes() for name in files(tmp_path)} == before
+
+
+def test_what_was_cut_off_counts_as_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is removed before anything is written; a full stick would never get out of that otherwise."""
+    (tmp_path / "layers").mkdir()
+    part = tmp_path / "layers" / f"{'0' * 64}.01.part"
+    part.write_bytes(bytes(2_000_000))
+    usage = shutil._ntuple_diskusage(10**9, 10**9 - 5000, 5000)  # noqa: SLF001
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    Writer(tmp_path).write(bundle()[1])
+    assert not part.exists()
+
+
 def test_a_bundle_can_be_one_file(tmp_path: Path) -> None:
-    """As CI keeps it."""
+    """As CI keeps it. Only its owner reads it, because secrets are in it."""
+    (tmp_path / "b.tar").write_text("an older one")
     written = write_tar(tmp_path / "b.tar", lambda folder: Writer(folder).write(bundle()[1]))
     assert written.files == len(bundle()[1])
     assert [path.name for path in tmp_path.iterdir()] == ["b.tar"]
+    assert (tmp_path / "b.tar").stat().st_mode & 0o777 == 0o600
     with pytest.raises(UsageError, match="there is no folder"):
         write_tar(tmp_path / "no/b.tar", lambda _: written)
+
+
+@pytest.mark.parametrize("failing", range(1, 9))
+def test_one_file_that_is_interrupted_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int
+) -> None:
+    """Ctrl-C while files are written, or while they are put into the archive."""
+    (tmp_path / "b.tar").write_text("an older one")
+    left, add = [failing], tarfile.TarFile.add
+
+    def interrupted(archive: tarfile.TarFile, *arguments: object, **values: object) -> None:
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        add(archive, *arguments, **values)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tarfile.TarFile, "add", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_tar(tmp_path / "b.tar", lambda folder: Writer(folder).write(bundle()[1]))
+    assert [path.name for path in tmp_path.iterdir()] == ["b.tar"]
+    assert (tmp_path / "b.tar").read_text() == "an older one"

@@ -26,6 +26,17 @@ def test_where_to_is_asked_before_anything_is_packed(own: Project) -> None:
     assert (missing.code, "mount the stick" in missing.err) == (2, True)
 
 
+def test_what_ship_refuses_before_it_looks_at_a_robot_is_refused(own: Project) -> None:
+    """Two robots with one address. A missing key is said before anything is packed, too."""
+    (own.folder / "STICK").mkdir()
+    nowhere = own.fleet("bundle", "--out", "STICK", "--sign", "no-key")
+    assert (nowhere.code, "there is no key no-key" in nowhere.err) == (2, True)
+    (own.folder / "inventory.yaml").write_text("robots: {pi1: 192.0.2.1, pi2: 192.0.2.1}\n")
+    twins = own.fleet("bundle", "--hosts", "pi1", "--out", "STICK")
+    assert (twins.code, "have the same address" in twins.err) == (2, True), twins
+    assert list((own.folder / "STICK").iterdir()) == []
+
+
 def test_ship_from_something_else_is_refused(own: Project) -> None:
     """Before any robot is asked."""
     done = own.fleet("ship", "--hosts", "pi1", "--from", str(own.folder))

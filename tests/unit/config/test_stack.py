@@ -63,6 +63,20 @@ def test_restart(value: dict[str, Any], restart: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("value", "retries"),
+    [
+        ({"restart": "on-failure:3"}, 3),
+        ({"restart": "on-failure"}, 0),
+        ({"restart": "always", "deploy": {"restart_policy": {"max_attempts": 3}}}, 0),
+        ({"deploy": {"restart_policy": {"condition": "on-failure", "max_attempts": 4}}}, 4),
+    ],
+)
+def test_retries(value: dict[str, Any], retries: int) -> None:
+    """Only `on-failure` has a limit."""
+    assert service(**value).retries == retries
+
+
+@pytest.mark.parametrize(
     ("value", "replicas"),
     [
         ({"scale": 0}, 0),

@@ -181,17 +181,32 @@ def test_folder(tmp_path: Path) -> None:
 
 
 def test_what_has_no_end(tmp_path: Path) -> None:
-    """A device, and a pipe that nobody writes to; but a shell's own pipe is read."""
+    """A device, and a pipe that nobody writes to."""
     with pytest.raises(ComposeError, match=r"/dev/zero has more than 1\.0 MB; name a YAML file"):
         yamlfile.read(Path("/dev/zero"), error=ComposeError)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ComposeError, match="pipe is a pipe; name a YAML file"):
-        yamlfile.read(tmp_path / "pipe", error=ComposeError)
+        yamlfile.text(tmp_path / "pipe", error=ComposeError, once=True)
+
+
+@pytest.mark.parametrize("place", ["/dev/fd/{}", "/proc/self/fd/{}", "/proc/PID/fd/{}", "/dev/stdin"])
+def test_a_pipe_of_the_shell(place: str) -> None:
+    """Is read where once is enough, and the paths in it begin where the person is; Compose would read it a second time."""
     reader, writer = os.pipe()
     os.write(writer, b"a: 1")
     os.close(writer)
-    assert yamlfile.text(Path(f"/dev/fd/{reader}"), error=ComposeError) == "a: 1"
-    os.close(reader)
+    stdin = os.dup(0)
+    os.dup2(reader, 0)
+    try:
+        path = Path(place.format(reader).replace("PID", str(os.getpid())))
+        with pytest.raises(ComposeError, match="is a pipe; name a YAML file"):
+            yamlfile.text(path, error=ComposeError)
+        assert yamlfile.text(path, error=ComposeError, once=True) == "a: 1"
+        assert yamlfile.folder(path) == Path.cwd()
+    finally:
+        os.dup2(stdin, 0)
+        os.close(stdin)
+        os.close(reader)
 
 
 def test_unreadable(path: Path) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 DOCKER = """#!/bin/sh
 case "$*" in
+    events*) printf '%s\n' $EVENTS ;;
     "ps "*project=nav*) cat "$HOME/ended" 2>/dev/null ;;
     inspect*) cat "$HOME/inspected" ;;
     compose*) echo "$PWD: $*" >>"$HOME/asked" ;;
@@ -115,7 +116,29 @@ def test_what_has_ended_is_started_again_as_its_policy_says(robot: Robot) -> Non
     (robot.home / "ended").write_text("one\n")
     (robot.home / "inspected").write_text("".join(f"{line}\n" for line in lines))
     robot.boots()
-    assert robot.asked[1:] == ["start one two"]
+    assert robot.asked[1:] == ["start one", "start two"]
+
+
+def test_what_a_person_has_stopped_stays_stopped(robot: Robot) -> None:
+    """As with Docker's policies: `docker stop` is no crash. Once it has run again, its next end counts."""
+    (robot.home / "ended").write_text("one\n")
+    inspected = robot.home / "inspected"
+    inspected.write_text("one planner 137 aaa 2026-11-28T12:00:00Z\n")
+    assert "somebody has stopped one" in robot.boots(EVENTS="start stop")
+    assert robot.boots(again=True) == ""  # Docker forgets the event after a while
+    assert len(robot.asked) == 1
+    inspected.write_text("one planner 1 aaa 2026-11-28T12:30:00Z\n")
+    robot.boots(again=True, EVENTS="stop start")
+    assert robot.asked[1:] == ["start one"]
+
+
+def test_retries_are_limited_as_the_policy_says(robot: Robot) -> None:
+    """`restart: on-failure:2`: for each container, until the next power-on."""
+    (robot.nav / "releases/aaa/services").write_text("planner=on-failure:2\ndriver=always\n")
+    (robot.home / "ended").write_text("one\n")
+    (robot.home / "inspected").write_text("one planner 1 aaa at\ntwo driver 1 aaa at\n")
+    robot.boots(FLEET_PASSES="4")
+    assert [robot.asked.count(f"start {name}") for name in ("one", "two")] == [2, 4]
 
 
 def test_while_a_swap_is_at_work_nothing_is_started(robot: Robot) -> None:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import io
+import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,6 +60,26 @@ def test_a_release_arrives_with_its_bytes_modes_and_links(home: Path, new: Relea
         (folder / name).stat().st_mode & 0o7777 for name in (".", "project/hollow", "project/hollow/shared")
     ]
     assert modes == [0o700, 0o700, 0o1777]  # other logins see nothing of it, secrets least of all
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_archive_cannot_open_the_folder(home: Path, new: Release, again: bool) -> None:
+    """It may have a mode for the folder itself, or an earlier version of fleet has left the folder open."""
+    folder = home / paths.folder(new.stack, new.id)
+    step = compose_steps.write(new, home=HOME)
+    if again:
+        do(step, home)
+        folder.chmod(0o755)
+    else:
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w") as archive:
+            top = tarfile.TarInfo(".")
+            top.type, top.mode = tarfile.DIRTYPE, 0o755
+            archive.addfile(top)
+        assert isinstance(step.feed, Bytes)
+        step = replace(step, feed=replace(step.feed, data=packed.getvalue()[:512] + step.feed.data))
+    assert do(step, home).returncode == 0
+    assert folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_writing_a_release_again_leaves_its_files_in_place(home: Path, new: Release) -> None:

@@ -333,6 +333,28 @@ def test_a_path_of_data_is_a_path() -> None:
     assert node(made)["volumes"][0]["source"] == "/home/pi/.fleet/stacks/robot/data"
 
 
+def test_a_release_of_systemds_has_the_policies_beside_its_compose_file() -> None:
+    """With the number of retries, which is in no restart policy any more; another policy is another release."""
+    made = {}
+    for restart in ("on-failure:3", "on-failure", "always"):
+        of = samples.stack(talker={"image": "talker", "restart": restart})
+        made[restart] = compose(
+            robot="pi1",
+            boot="systemd",
+            stack=of,
+            project=samples.PROJECT,
+            files=ProjectFiles(),
+            images={"talker": samples.TALKER},
+        )
+        assert made[restart].files("/home/pi")["services"].data == f"talker={restart}\n".encode()
+    assert len({one.id for one in made.values()}) == 3
+    limited = made["on-failure:3"]
+    again = releases.unpacked(
+        limited.archive(HOME), name=limited.id, stack="talker", robot="pi1", images=(samples.TALKER,)
+    )
+    assert again.files("/home/pi") == limited.files("/home/pi")
+
+
 def test_a_release_that_systemd_starts_has_no_restart_policy_of_dockers() -> None:
     """Docker would start it before network and clock. What must run is said as before; a release of Docker's has no new file."""
     images = dict.fromkeys(samples.STACK.services, samples.TALKER)
