@@ -17,7 +17,10 @@ from fleet.diagnosis.explain import explain
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-pytestmark = pytest.mark.skipif(not Path("/usr/lib/apt/apt-helper").exists(), reason="needs apt")
+pytestmark = [
+    pytest.mark.skipif(not Path("/usr/lib/apt/apt-helper").exists(), reason="needs apt"),
+    pytest.mark.usefixtures("desktop"),  # they wait long
+]
 
 NO_PORT = "http://127.0.0.1:1/debian"
 

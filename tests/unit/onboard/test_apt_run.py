@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+pytestmark = pytest.mark.usefixtures("desktop")  # they wait long
+
 ROOT = Facts(login=Login(sudo="root"))
 
 
