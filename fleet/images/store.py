@@ -353,6 +353,24 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "configurations"
 
 
+def docker_login(host: str) -> tuple[str, str] | None:
+    """The user and the password of `docker login` for a registry, from Docker's settings or its credential store.
+
+    Raises:
+        DesktopError: the credential store fails.
+
+    """
+    import docker  # noqa: PLC0415  see above
+
+    try:
+        found = docker.auth.load_config().resolve_authconfig(host) or {}  # type: ignore[attr-defined]
+    except docker.errors.DockerException as problem:
+        raise DesktopError(f"Docker's credential store fails for {host}: {problem}") from problem
+    said = {key.lower(): value for key, value in found.items()}  # a store writes its keys in capitals
+    user, password = said.get("username"), said.get("password")
+    return (user, password) if user and password else None
+
+
 @contextlib.contextmanager
 def _scratch() -> Generator[Path]:
     """A folder for what is pushed. It is not in the system's temporary folder, which may be in memory."""

@@ -10,6 +10,7 @@ import pytest
 from fleet.cli import find, heard, json_output, status
 from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
+from fleet.config.registry import Registry
 from fleet.errors import Unreachable
 from fleet.plan.outcome import Outcome
 from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
@@ -51,6 +52,7 @@ STACK = {
     "journal",
     "boot",
     "stopped",
+    "came",
 }
 DEV = {"dev", "dev.by", "dev.since"}
 STATUS = {
@@ -76,6 +78,8 @@ STATUS = {
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform", "boot"),
+    *("transport", "registry"),
+    *(f"registry.{key}" for key in ("address", "ca", "client_cert", "client_key", "user", "token")),
     *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace", "strict")),
     *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
@@ -117,6 +121,7 @@ PLAN = Plan(
 WHOLE = PI.model_copy(
     update={
         "stacks": (StackFiles(files=(Path("compose.yaml"),)),),
+        "registry": Registry(address="registry.local:5000"),
         "hardware": Hardware(udev={"lidar": Usb(vendor="10c4", product="ea60")}),
     }
 )
