@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.cli import find, heard, json_output, status
+from fleet.cli.push import Pushed
 from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
 from fleet.config.registry import Registry
@@ -145,6 +146,10 @@ PRINTED = {
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
     "`fab find --json`": (FOUND, find.record(SEEN, model="")),
+    "`fab push --json`": (
+        {"image", "platforms", "bytes"},
+        Pushed(image="r:5000/talker:1", platforms=("linux/arm64",), bytes=1)._asdict(),
+    ),
     "`fab inventory --json`": (INVENTORY, WHOLE.model_dump(mode="json")),
     "`fab topics --json`": (
         {"name", "type", "publishers", "subscribers", "quality", "unmatched", "rate"},
