@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from fleet.transfer.receive import TransferRun
 
 
-def needed(image: Image, facts: Facts) -> tuple[str, ...]:
-    """The layers of an image (diff IDs) that have to be packed: a classic store may ask for all."""
-    if not facts.docker.containerd:
+def needed(image: Image, facts: Facts, *, robot: Robot) -> tuple[str, ...]:
+    """The layers of an image (diff IDs) that have to be packed: a classic store may ask for all, and a registry wants all."""
+    if robot.registry or not facts.docker.containerd:
         return tuple(dict.fromkeys(image.layers))
     return delivery.missing([image], facts, strategy="missing layers").send
 
@@ -54,7 +54,7 @@ def plan(
 
     """
     there = delivery.missing([image for image, _ in images], facts, strategy="missing layers").there
-    blobs = {**there, **packed}
+    blobs = {**there, **packed}  # those that were packed here win: a registry has them
     named = [described(image, target, blobs, registry=robot.registry) for image, target in images]
     lacks = tuple({blob.digest: blob for one in named for blob in _lacks(one, facts)}.values())
     size = sum(blob.size for blob in lacks)

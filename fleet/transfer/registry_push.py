@@ -31,14 +31,14 @@ class Registries:
     def __init__(self, *, open_blob: Callable[[str], IO[bytes]], logins: Logins) -> None:
         self._open = open_blob
         self._logins = logins
-        self._clients: dict[str, RegistryClient] = {}
+        self._clients: dict[Registry, RegistryClient] = {}
         self._there: set[tuple[str, str, str]] = set()
         self._lock = threading.Lock()  # robots of one registry wait for the first one's push
 
     def client(self, registry: Registry) -> RegistryClient:
         """The client of a registry."""
         return self._clients.setdefault(
-            registry.host, RegistryClient(registry, login=lambda: self._logins(registry))
+            registry, RegistryClient(registry, login=lambda: self._logins(registry))
         )
 
     def lacks(self, registry: Registry, images: Sequence[Pulled]) -> tuple[Blob, ...]:

@@ -122,7 +122,7 @@ class Sender:
         )
 
     def _pull(self, images: Sequence[Image], *, robot: Robot, facts: Facts) -> Delivery:
-        wanted = {image: pull.needed(image, facts) for image in images}
+        wanted = {image: pull.needed(image, facts, robot=robot) for image in images}
         planned = pull.plan(
             tuple((image, self._target(image)) for image in images),
             packed=self._packed(wanted, delivery.encoding(facts)),

@@ -13,8 +13,9 @@ from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
 from fleet.config.registry import Registry
 from fleet.errors import Unreachable
+from fleet.images.layer import Blob
 from fleet.plan.outcome import Outcome
-from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.plan.step import Bytes, ImageArchive, Plan, Pull, Pulled, Record, Step, Upload, UploadBatch
 from fleet.robot.facts import Dev
 from fleet.rollout.sighting import Candidate, Sighting
 from fleet.ros.measure import Report
@@ -166,6 +167,20 @@ PRINTED = {
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
     "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),
+    "A feed that is pulled": (
+        {
+            *("label", "images", "bytes", "registry"),
+            *(f"images[].{key}" for key in ("name", "path", "manifest", "config", "blobs")),
+            *(f"images[].blobs[].{key}" for key in ("diff_id", "digest", "size", "media_type", "unpacked")),
+        },
+        Pull(
+            label="a",
+            images=(
+                Pulled(name="a", path="b", manifest=b"{}", config=b"{}", blobs=(Blob.plain("sha256:1", 1),)),
+            ),
+            bytes=1,
+        ),
+    ),
     "A feed that is a batch of uploads": (
         UPLOADS,
         UploadBatch(label="a", to="b", pieces=(Upload(digest="c", size=1),)),

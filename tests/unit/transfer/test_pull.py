@@ -28,7 +28,7 @@ FROM_THERE = THROUGH_SSH.model_copy(update={"registry": Registry(address="reg.lo
 
 
 def planned(seen: Facts, *, robot: Robot = THROUGH_SSH) -> tuple[Delivery, Pull]:
-    wanted = pull.needed(TALKER.image, seen)
+    wanted = pull.needed(TALKER.image, seen, robot=robot)
     delivery = pull.plan(
         [(TALKER.image, TALKER.wanted)],
         packed={diff_id: BLOBS[diff_id] for diff_id in wanted},
@@ -77,10 +77,26 @@ def test_a_containerd_store_finds_layers_however_they_came() -> None:
     """By the blobs of its receipts: the manifest names those, so they need not be packed here."""
     there = Blob(diff_id=digest(BASE), digest=digest(b"as it came"), size=7, media_type="x")
     robot = facts(containerd=True, image_store=ImageStore(manifests=((there,),)))
-    assert pull.needed(TALKER.image, robot) == (digest(CODE),)
+    assert pull.needed(TALKER.image, robot, robot=THROUGH_SSH) == (digest(CODE),)
     _, feed = planned(robot)
     assert feed.bytes == size(CODE)
     assert feed.images[0].blobs == (there, BLOBS[digest(CODE)])
+
+
+def test_a_registry_has_all_layers_as_they_are_packed_here() -> None:
+    """It takes no manifest whose blobs it lacks. A robot that has the same bytes skips them."""
+    other, same = (
+        facts(containerd=True, image_store=ImageStore(manifests=((blob,),)))
+        for blob in (
+            Blob(diff_id=digest(BASE), digest=digest(b"as it came"), size=7, media_type="x"),
+            BLOBS[digest(BASE)],
+        )
+    )
+    for robot, lacks in ((other, size(BASE, CODE)), (same, size(CODE))):
+        assert len(pull.needed(TALKER.image, robot, robot=FROM_THERE)) == 2
+        _, feed = planned(robot, robot=FROM_THERE)
+        assert feed.bytes == lacks
+        assert feed.images[0].blobs == (BLOBS[digest(BASE)], BLOBS[digest(CODE)])
 
 
 def test_the_manifest_is_that_of_an_upload() -> None:
