@@ -42,6 +42,7 @@ PLAN = {
     "save": ("v1",),
     "gzip": ("v1",),
     "rsync": ("v1", "v2code", "v2apt", "v2pip"),
+    "pull": ("v1", "v2code", "v2apt"),
     "registry": ("v1", "v2code", "v2apt"),
 }
 """Which variants each way is measured with."""
@@ -160,11 +161,14 @@ def _on_the_air(
     with joined(robots, quality=QUALITY) as link:
         lanes = {}
         for name, pi in zip(names, pis, strict=True):
-            quick = ways.Road(address=pi.address, inventory=_inventory(folder, pi.name, pi.address, "quick"))
+            quick = ways.Road(
+                address=pi.address,
+                inventory=_inventory(folder, pi.name, pi.address, "quick", pulls=name == "pull"),
+            )
             address = link.addresses[pi.name]
             air = ways.Road(
                 address=address,
-                inventory=_inventory(folder, pi.name, address, "air"),
+                inventory=_inventory(folder, pi.name, address, "air", pulls=name == "pull"),
                 inside=link.at_desk(),
             )
             trust = (ways.FAB, "trust", "--yes", "--inventory", str(air.inventory))
@@ -183,7 +187,7 @@ def _on_the_air(
             yield lanes
 
 
-def _inventory(folder: Path, name: str, address: str, road: str) -> Path:
+def _inventory(folder: Path, name: str, address: str, road: str, *, pulls: bool) -> Path:
     """One robot as `fab` knows it on one road. The robot runs this computer's own platform, which the images are for."""
     whole = {
         "stack": "compose.yaml",
@@ -192,6 +196,7 @@ def _inventory(folder: Path, name: str, address: str, road: str) -> Path:
             "user": "pi",
             "identity_file": str(folder / "lab" / "id_ed25519"),
             "platform": desktop_platform(),
+            "transport": "registry" if pulls else "ssh",
         },
         "robots": {name: {"address": address}},
     }

@@ -39,6 +39,7 @@ WAYS = {
     "save": "`docker save \\| ssh docker load`",
     "gzip": "`docker save \\| gzip \\| ssh docker load`",
     "rsync": "`docker save`, `rsync -z`, `docker load`",
+    "pull": "`fab ship`, pulled through SSH",
     "registry": "a registry and `docker pull`, through `ssh -R`",
 }
 

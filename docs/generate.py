@@ -265,7 +265,8 @@ To start a stack without a desktop, log in to the robot and run `cd ~/{paths.STA
 ## In the system
 
 Only `fab provision` changes the system, as root: Docker and its Compose plugin, `zstd`, the group `docker` with the login
-in it, `{daemon_json.PATH}` (size and number of log files, the runtime nvidia), and the clock if it is wrong. For
+in it, `{daemon_json.PATH}` (size and number of log files, the runtime nvidia), the files of `registry:` in
+`/etc/docker/certs.d`, and the clock if it is wrong. For
 `hardware:` of the inventory it also changes the login's groups, `{UDEV_RULES}`, and on a
 Raspberry Pi `config.txt` and `cmdline.txt` in `/boot/firmware`, and `/etc/modules-load.d/fleet-i2c.conf`. Files that are not
 fleet's own are kept as `NAME.before-fleet` before the first change. `/run/fleet-reboot` names what waits for a reboot.

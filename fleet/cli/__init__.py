@@ -19,6 +19,7 @@ from fleet.cli import (
     overview,
     program,
     project,
+    push,
     selection,
     verb,
 )
@@ -69,6 +70,7 @@ ns = verb.collection(
         *deploy.VERBS,
         *dev.VERBS,
         *bundle.VERBS,
+        *push.VERBS,
     ),
     default=help_,
     lab=lab.VERBS,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from fleet.cli import wanted, whose
 from fleet.cli.console import Screen
 from fleet.cli.execute import execute, whoami
+from fleet.cli.registry_access import certificates, login_of
 from fleet.cli.selection import select
 from fleet.cli.stacks import stacks_there
 from fleet.cli.verb import verb
@@ -20,7 +21,7 @@ from fleet.plan import containers, readiness
 from fleet.plan import prune as prune_old
 from fleet.plan import ship as shipping
 from fleet.plan.compose_steps import Request
-from fleet.provision import docker_script
+from fleet.provision import docker_script, registry_certs
 from fleet.provision import steps as provisioning
 from fleet.rollout import trust as trusting
 from fleet.transfer.delivery import STRATEGIES
@@ -77,7 +78,15 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
 
     def make(robot: Robot, facts: Facts) -> list[Plan]:
         text = scripts.fetch(robot.docker) if provisioning.needs_script(facts) else b""
-        return [provisioning.plan(robot=robot, facts=facts, script=text, now=time.time(), by=whoami())]
+        plan = provisioning.plan(
+            robot=robot,
+            facts=facts,
+            script=text,
+            now=time.time(),
+            by=whoami(),
+            certificates=certificates(robot.registry),
+        )
+        return [plan]
 
     return execute(robots, make, dry=dry, json=json, screen=Screen())
 
@@ -121,7 +130,7 @@ def ship(
     limiter = RateLimiter(bytes_per_second(limit))
     with (
         wanted.opened(robots, out_of=from_, only=stack, screen=screen) as (source, releases),
-        Sender.using(source, limiter=limiter, by=whoami()) as sender,
+        Sender.using(source, limiter=limiter, by=whoami(), logins=login_of) as sender,
     ):
         planner = Planner(releases, sender, options)
         ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]
@@ -250,10 +259,10 @@ class Options:
     keep: int
     renamed: bool
 
-    def request(self, one: Wanted) -> Request:
-        """How long a stack may take, and who asks."""
+    def request(self, one: Wanted, *, way: str) -> Request:
+        """How long a stack may take, who asks, and by which ``way`` its images come, if that is not SSH."""
         return Request(
-            by=whoami(),
+            by=f"{whoami()} by {way}" if way else whoami(),
             run=self.run,
             wait=self.wait or one.wait,
             settle=one.settle,
@@ -279,12 +288,15 @@ class Planner:
             if one.project:
                 whose.same_stack(one.project, facts, robot=robot)
             missing = shipping.missing(one.release, facts)
+            if missing:
+                registry_certs.check(robot, facts, certificates(robot.registry))
+            delivery = self._sender.deliver(missing, robot=robot, facts=facts, strategy=strategy)
             plan = shipping.plan(
                 robot=robot,
                 release=one.release,
                 facts=facts,
-                delivery=self._sender.deliver(missing, robot=robot, facts=facts, strategy=strategy),
-                request=self._options.request(one),
+                delivery=delivery,
+                request=self._options.request(one, way=delivery.way),
                 keep=self._options.keep,
             )
             plans.append(plan)

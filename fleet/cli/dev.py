@@ -11,6 +11,7 @@ from fleet.cli import build, wanted, whose
 from fleet.cli.console import Screen
 from fleet.cli.deploy import Options, Planner
 from fleet.cli.execute import bring, execute, whoami
+from fleet.cli.registry_access import login_of
 from fleet.cli.selection import select
 from fleet.cli.stacks import Stacks, stacks_there, warnings_of
 from fleet.cli.verb import verb
@@ -151,7 +152,7 @@ def _rebuild(robots: Sequence[Robot], stack: str, progress: AnyProgress, kept: c
     commands = build.commands_for(every, [], client=buildkit_client())
     builder.run_all(commands, watcher=build.Watcher(progress), memory=builder.free_memory())
     store = kept.enter_context(Store())
-    sender = kept.enter_context(Sender.using(store, limiter=RateLimiter(None), by=whoami()))
+    sender = kept.enter_context(Sender.using(store, limiter=RateLimiter(None), by=whoami(), logins=login_of))
     releases = {robot.name: wanted.built(stacks, robot, found[robot.name], store) for robot in robots}
     planner = Planner(releases, sender, _options())
     ladder = [partial(planner.plans, strategy=strategy) for strategy in STRATEGIES]

@@ -9,7 +9,19 @@ if TYPE_CHECKING:
 
 PURPOSES: Mapping[str, Sequence[str]] = {
     "Set up": ("init", "inventory", "card", "await", "find", "trust", "provision", "completion"),
-    "Ship": ("build", "ship", "dev", "rollback", "prune", "start", "stop", "restart", "remove", "bundle"),
+    "Ship": (
+        "build",
+        "ship",
+        "dev",
+        "rollback",
+        "prune",
+        "start",
+        "stop",
+        "restart",
+        "remove",
+        "bundle",
+        "push",
+    ),
     "Look": ("status", "history", "logs", "topics", "listen", "run", "shell"),
     "Build in CI": ("ci.github", "ci.shell"),
     "Lab: virtual robots on this computer": ("lab.up", "lab.list", "lab.down"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -115,6 +116,8 @@ def record(seen: Facts | FleetError) -> dict[str, Any]:
     facts = asdict(seen)
     for bulky in ("images", "image_store", "claims"):  # for planning; a program would ask Docker
         del facts["fleet"][bulky]
+    for name, there in seen.fleet.stacks.items():
+        facts["fleet"]["stacks"][name]["came"] = came(there)
     return {"reachable": True, "healthy": good(seen), **facts}
 
 
@@ -151,7 +154,18 @@ def _release(there: StackFacts) -> Cell:
     if there.dev:
         since = there.dev.since.replace("T", " ").removesuffix("Z")
         return (f"{there.current}, dev by {there.dev.by} since {since} UTC", "yellow")
+    way = came(there)
+    if way not in ("", "ssh"):
+        return (f"{there.current}, by {way}", "")
     return (there.current or "none", "" if there.current else "dim")
+
+
+def came(there: StackFacts) -> str:
+    """How the current release came: ``ssh``, ``stick``, ``registry through SSH`` or ``registry 10.0.0.5:5000``; "" if nobody knows."""
+    ships = (event for event in reversed(history(there.history)) if event.verb == "ship")
+    by = next((one.by for one in ships if (one.release, one.outcome) == (there.current, "done")), "")
+    found = re.search(r" by (stick|registry (?:through SSH|\S+))", by)
+    return found[1] if found else "ssh" if by else ""
 
 
 def _containers(there: StackFacts, now: float) -> Cell:

@@ -16,6 +16,7 @@ from fleet.config import card, hardware, merge, validation
 from fleet.config.card import Card
 from fleet.config.hardware import Hardware
 from fleet.config.model import Frozen, Members
+from fleet.config.registry import Registry, RegistryValues
 from fleet.config.ros import Ros
 from fleet.config.selection import choose
 from fleet.errors import InventoryError, SelectionError
@@ -139,6 +140,11 @@ class Values(Frozen):
         description="Files for the stack. Name below files/ on the robot: file here, relative to this file.",
     )
     card: Card | None = Field(default=None, description="What `fab card` writes for the first boot.")
+    transport: validation.Transport = Field(
+        default="ssh",
+        description="How images come: over SSH, or pulled by the robot's Docker from a registry; without `registry:` from this computer.",
+    )
+    registry: RegistryValues | None = Field(default=None, description="The registry for images.")
 
 
 class GroupValues(Values):
@@ -214,6 +220,8 @@ class Robot(Frozen):
     docker: Docker = Field(default_factory=Docker)
     hardware: Hardware = Field(default_factory=Hardware)
     card: Card = Field(default_factory=Card)
+    transport: validation.Transport = "ssh"
+    registry: Registry | None = None
     environment: dict[str, str] = Field(default={})
     pass_environment: tuple[str, ...] = ()
     files: dict[str, Path] = Field(default={})
@@ -329,7 +337,7 @@ def _model_at(location: Location) -> type[Frozen]:
     if not location:
         return InventoryFile
     outer: _Models = {"include": Include, "defaults": Values, "groups": GroupValues, "robots": RobotValues}
-    inner: _Models = {"ros": Ros, "docker": Docker, "stack": StackValues}
+    inner: _Models = {"ros": Ros, "docker": Docker, "stack": StackValues, "registry": RegistryValues}
     if location[0] == "stack":
         return StackValues
     depth = 1 if location[0] == "defaults" else 2

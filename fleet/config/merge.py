@@ -19,6 +19,11 @@ from fleet.errors import InventoryError
 
 _PLAIN = re.compile(r"[\w-]+")
 
+_MAPPINGS = {
+    *("ros", "docker", "hardware", "card", "registry", "environment", "files", "stack", "pass_environment")
+}
+"""Keys without a value of their own: nothing there says nothing."""
+
 Plain = dict[str, Any]
 Complaint = tuple[yamlfile.Location, str]
 Check = Callable[[yamlfile.Document], tuple[Plain, list[Complaint]]]
@@ -66,7 +71,7 @@ def gather(path: Path, *, check: Check) -> tuple[Roster, tuple[str, ...]]:
 
 
 def merge(under: Plain, over: Plain) -> Plain:
-    """Both, ``over`` winning; the mappings inside (ros, docker, card, environment, files) key by key. Hardware adds up.
+    """Both, ``over`` winning; the mappings inside (ros, docker, card, registry, environment, files) key by key. Hardware adds up.
 
     ``ros.hostname`` and ``ros.ip`` answer one question, so naming either replaces both. A ``ros.version`` replaces the
     keys of the other version.
@@ -257,13 +262,7 @@ class _File:
 
     def _values(self, location: yamlfile.Location, values: Plain) -> Plain:
         """The values with paths absolute and environment values as text; an empty mapping says nothing."""
-        said = {
-            k: v
-            for k, v in values.items()
-            if v is not None
-            or k
-            not in {"ros", "docker", "hardware", "card", "environment", "files", "stack", "pass_environment"}
-        }
+        said = {k: v for k, v in values.items() if v is not None or k not in _MAPPINGS}
         self._check_peers((*location, "ros", "peers"), said.get("ros", {}).get("peers") or ())
         if "stack" in said:
             said["stack"] = self._stacks(said["stack"])
@@ -280,6 +279,8 @@ class _File:
             said["files"] = {
                 name: self._file((*location, "files", name), value) for name, value in said["files"].items()
             }
+        if "registry" in said:
+            said["registry"] = self._registry((*location, "registry"), said["registry"])
         script = said.get("docker", {}).get("script", "")
         if script and not script.startswith(("https://", "http://")):
             said["docker"] = {
@@ -287,6 +288,13 @@ class _File:
                 "script": str(self._file((*location, "docker", "script"), script)),
             }
         return said
+
+    def _registry(self, location: yamlfile.Location, registry: Plain) -> Plain:
+        """The registry with absolute paths."""
+        return {
+            key: self._file((*location, key), value) if key in validation.REGISTRY_FILES and value else value
+            for key, value in registry.items()
+        }
 
     def _stacks(self, stacks: Sequence[Plain]) -> tuple[Plain, ...]:
         """The stacks with absolute paths."""

@@ -20,6 +20,15 @@ Boot = Literal["docker", "systemd"]
 """Who starts a robot's stacks at power-on."""
 
 
+Transport = Literal["ssh", "registry"]
+"""How images come to a robot."""
+
+REGISTRY_FILES = ("ca", "client_cert", "client_key")
+"""The keys of `registry:` that name files."""
+
+_CHOICES = {"boot": ("docker", "systemd"), "transport": ("ssh", "registry")}
+
+
 def _whole(pattern: str) -> str:
     # `$` alone lets a trailing newline pass.
     return rf"^(?:{pattern})$(?!\n)"
@@ -45,6 +54,9 @@ TEXT = r"\S"
 NAME = _whole(r"(?!all$)[A-Za-z0-9][A-Za-z0-9_.-]*")
 MEMBER = _whole(r"[A-Za-z0-9_.*?\[\]!-]+")
 ADDRESS = _whole(r"(?!-)(?:[^\s@/:\[\],]+|[^\s@/:\[\],]*(?::[^\s@/:\[\],]*){2,})")
+REGISTRY = _whole(
+    rf"(?:localhost|(?=[^/]*[.:])[A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?)(?::{_PORT})?(?:/[a-z0-9]+(?:[._-]+[a-z0-9]+)*)*"
+)
 USER = _whole(r"(?!-)[^\s@:/]+")
 MASTER = _whole(rf"own|http://(?:[^\s/:@\[\]]+|\[[0-9A-Fa-f:.]+\]):{_PORT}/?")
 HOSTNAME = _whole(r"[A-Za-z0-9](?:[A-Za-z0-9_.-]*[A-Za-z0-9])?")
@@ -96,6 +108,7 @@ INTERFACES = ("i2c", "spi", "serial", "camera")
 KINDS = ("serial", "camera", "input")
 
 _MUST: Mapping[str, str] = {
+    REGISTRY: "must be a host with a port or a dot in its name, and a path in small letters if need be, such as registry.local:5000/robots",
     TEXT: "must not be empty",
     NAME: "is not a name: use letters, digits, '_', '.' and '-', a letter or digit first",
     MEMBER: "must be a robot's name or a wildcard such as 'pi*'",
@@ -235,6 +248,12 @@ def usb(said: Mapping[str, Any]) -> None:
         raise ValueError("vendor and product go together; `lsusb` shows both, as vendor:product")
 
 
+def registry(said: Mapping[str, Any]) -> None:
+    """Raise ValueError with the message if a client certificate has no key, or a key no certificate."""
+    if bool(said["client_cert"]) != bool(said["client_key"]):
+        raise ValueError("client_cert and client_key go together; name both, or none")
+
+
 def _one_of(choices: tuple[str, ...], value: str) -> str:
     if value in choices:
         return value
@@ -267,6 +286,8 @@ def wrong(kind: str, key: str, value: object) -> str:
         if isinstance(value, str) and value.isdecimal():
             return f"{_NUMBERS[key]}: write {value} without quotes"
         return f"{_NUMBERS[key]}, not {_shown(value)}"
+    if kind == "literal_error" and key in _CHOICES:
+        return f"must be {' or '.join(_CHOICES[key])}, not {_shown(value)}"
     if kind == "literal_error":
         hint = did_you_mean(PLATFORM_OF_MACHINE.get(str(value), str(value)), PLATFORMS)
         return f"must be one of {', '.join(PLATFORMS)}" + (f"; {hint}" if hint else "")

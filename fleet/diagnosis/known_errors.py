@@ -10,6 +10,7 @@ import re
 from fleet.diagnosis.installer_errors import INSTALLER_ERRORS
 from fleet.diagnosis.known_error import KnownError
 from fleet.diagnosis.packages import PACKAGES
+from fleet.diagnosis.registry_errors import REGISTRY_ERRORS
 
 _PROVISION = "run `fab provision`"
 _STARTING = ("ship", "rollback", "start", "restart")
@@ -132,7 +133,7 @@ KNOWN_ERRORS = (
     ),
     # A missing image: Docker then asks a registry, and the errors of that would mislead.
     KnownError(
-        r"Unable to find image '([^']+)' locally|pull access denied for ([^, ]+)|No such image: (\S+)|manifest for (\S+) not found"
+        r"Unable to find image '([^']+)' locally|pull access denied for ([^, ]+)|No such image: (\S+)|manifest for ([^\s@]+) not found"
         r"|image (?:with reference )?\"?([^\s\"]+)\"? was not found",
         "the image {0} is not on the robot",
         "`fab ship` sends it",
@@ -141,6 +142,7 @@ KNOWN_ERRORS = (
             "provision": "another command has removed it meanwhile, such as `docker image prune`; run the same command again",
         },
     ),
+    *REGISTRY_ERRORS,
     *INSTALLER_ERRORS,
     # Docker.
     KnownError(

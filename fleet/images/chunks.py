@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tarfile
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -10,6 +11,9 @@ if TYPE_CHECKING:
 
 SMALL = 4_000_000
 """Bytes; the configuration of an image is smaller, and so is every other member of an archive that is JSON."""
+
+
+_BUFFER = 1 << 20  # bytes
 
 
 class Chunks(io.RawIOBase):
@@ -31,3 +35,14 @@ class Chunks(io.RawIOBase):
         view[:count] = self._rest[:count]
         self._rest = self._rest[count:]
         return count
+
+
+def small_members(chunks: Iterable[bytes]) -> dict[str, bytes]:
+    """The members of an archive that are small enough to be JSON, by name."""
+    stream = io.BufferedReader(Chunks(chunks), _BUFFER)
+    with tarfile.open(fileobj=stream, mode="r|", bufsize=_BUFFER) as archive:
+        return {
+            member.name: content.read()
+            for member in archive
+            if member.isfile() and member.size <= SMALL and (content := archive.extractfile(member))
+        }

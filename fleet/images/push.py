@@ -5,7 +5,7 @@ each layer whether it is there (HEAD), and uploads only the others. This registr
 that are wanted. A classic store cannot ask for a layer that it has never pushed or pulled, and uploads it, packed by
 gzip; `Push.prime` lets it do that once, in the background.
 
-The protocol is "Pushing" of opencontainers/distribution-spec. Docker uses it without TLS for 127.0.0.0/8.
+The protocol is "Pushing" of opencontainers/distribution-spec.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ import time
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import parse_qs, urlsplit
 
+from fleet.images.registry_http import Handler
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
@@ -32,10 +34,7 @@ REPOSITORY = "fleet-outbox"
 PORTS = tuple(range(41370, 41374))
 """Few and fixed: Docker remembers up to 50 repositories that a layer was pushed to, and ours shall not drive out others."""
 
-_CHUNK = 1 << 20
 _TICK = 0.01  # seconds between two looks at a push
-_TLS_HANDSHAKE = b"\x16"  # how a TLS record begins that opens a connection: Docker tries that first
-_TLS_HEADER = 5  # bytes of a record before its content; the last two are the length (RFC 8446, section 5.1)
 
 
 class Registry:
@@ -141,92 +140,43 @@ class _Server(http.server.ThreadingHTTPServer):
         """Say nothing: a push that is ended closes its connections."""
 
 
-class _Handler(http.server.BaseHTTPRequestHandler):
+class _Handler(Handler):
     registry: Registry
-    protocol_version = "HTTP/1.1"
-    timeout = 60.0  # seconds of silence
 
-    def handle_one_request(self) -> None:
-        """See ``http.server``. TLS is answered as Go's servers do: by that Docker knows that it has to go on without."""
-        with contextlib.suppress(OSError):
-            if self.rfile.peek(1)[:1] != _TLS_HANDSHAKE:  # type: ignore[attr-defined]  # a BufferedReader
-                super().handle_one_request()
-                return
-            self.rfile.read(int.from_bytes(self.rfile.read(_TLS_HEADER)[-2:]))
-            self.wfile.write(b"HTTP/1.0 400 Bad Request\r\n\r\nThis is HTTP.\n")
-        self.close_connection = True
+    def do_GET(self) -> None:  # noqa: N802  http.server calls it so
+        self.answer(200 if self.path == "/v2/" else 404)
 
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-    def do_GET(self) -> None:
-        self._answer(200 if self.path == "/v2/" else 404)
-
-    def do_HEAD(self) -> None:
+    def do_HEAD(self) -> None:  # noqa: N802  http.server calls it so
         kind, _, digest = self.path.partition("?")[0].rpartition("/")
         there = kind.endswith("/blobs") and self.registry.has(digest)
         # The size is wrong for blobs that are elsewhere. Docker writes it into the manifest, which nobody uses.
-        self._answer(200 if there else 404, {"Docker-Content-Digest": digest, "Content-Length": "1"})
+        self.answer(200 if there else 404, {"Docker-Content-Digest": digest, "Content-Length": "1"})
 
-    def do_POST(self) -> None:
-        self._drain()
-        self._answer(202, {"Location": f"/v2/{REPOSITORY}/blobs/uploads/{self.registry.begin()}"})
+    def do_POST(self) -> None:  # noqa: N802  http.server calls it so
+        self.drain()
+        self.answer(202, {"Location": f"/v2/{REPOSITORY}/blobs/uploads/{self.registry.begin()}"})
 
-    def do_PATCH(self) -> None:
+    def do_PATCH(self) -> None:  # noqa: N802  http.server calls it so
         size = self._take()
-        self._answer(202, {"Location": self.path, "Range": f"0-{max(0, size - 1)}"})
+        self.answer(202, {"Location": self.path, "Range": f"0-{max(0, size - 1)}"})
 
-    def do_PUT(self) -> None:
+    def do_PUT(self) -> None:  # noqa: N802  http.server calls it so
         if "/manifests/" in self.path:
-            manifest = b"".join(self._body())
+            manifest = b"".join(self.body())
             self.registry.manifests.append(manifest)
             digest = f"sha256:{hashlib.sha256(manifest).hexdigest()}"
-            self._answer(400 if self.registry.refuses else 201, {"Docker-Content-Digest": digest})
+            self.answer(400 if self.registry.refuses else 201, {"Docker-Content-Digest": digest})
             return
         self._take()
         digest = parse_qs(urlsplit(self.path).query).get("digest", [""])[0]
         good = self.registry.end(self._upload(), digest)
-        self._answer(201 if good else 400, {"Docker-Content-Digest": digest})
+        self.answer(201 if good else 400, {"Docker-Content-Digest": digest})
 
     def _upload(self) -> str:
         return urlsplit(self.path).path.rpartition("/")[2]
 
     def _take(self) -> int:
-        return self.registry.take(self._upload(), self._body())
-
-    def _drain(self) -> None:
-        for _ in self._body():
-            pass
-
-    def _body(self) -> Iterable[bytes]:
-        """The chunks of a request's body (RFC 9112, sections 6 and 7.1)."""
-        if self.headers.get("Transfer-Encoding", "").lower() != "chunked":
-            yield from self._bytes(int(self.headers.get("Content-Length") or 0))
-            return
-        while size := int(self.rfile.readline(100).partition(b";")[0], 16):
-            yield from self._bytes(size)
-            self.rfile.readline(100)
-        while self.rfile.readline(1000).strip():
-            pass
-
-    def _bytes(self, size: int) -> Iterable[bytes]:
-        while size:
-            chunk = self.rfile.read(min(size, _CHUNK))
-            if not chunk:
-                raise OSError("the connection ended within a body")
-            size -= len(chunk)
-            yield chunk
-
-    def _answer(self, code: int, headers: Mapping[str, str] | None = None) -> None:
-        self.send_response(code)
-        all_headers = {
-            "Content-Length": "0",
-            "Docker-Distribution-Api-Version": "registry/2.0",
-            **(headers or {}),
-        }
-        for name, value in all_headers.items():
-            self.send_header(name, value)
-        self.end_headers()
+        return self.registry.take(self._upload(), self.body())
 
 
 class Push:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 from fleet.config.image_reference import one_image
 from fleet.images import image, push
-from fleet.images.chunks import SMALL, Chunks
+from fleet.images.chunks import SMALL, Chunks, small_members
 from fleet.images.image import Image, same_platform, tagged_for
 
 CHUNK = 1 << 20
@@ -156,7 +156,7 @@ class Store:
                     return data
         try:
             config = self._pushed_configuration(name, image_id, platform=platform, size=size)
-            config = config or image.configuration(_small_members(self._saved(name)), platform)
+            config = config or image.configuration(small_members(self._saved(name)), platform)
         except tarfile.TarError as problem:
             raise DesktopError(f"what Docker saves of image {name} cannot be read: {problem}") from problem
         if config is not None:
@@ -353,6 +353,24 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fleet" / "configurations"
 
 
+def docker_login(host: str) -> tuple[str, str] | None:
+    """The user and the password of `docker login` for a registry, from Docker's settings or its credential store.
+
+    Raises:
+        DesktopError: the credential store fails.
+
+    """
+    import docker  # noqa: PLC0415  see above
+
+    try:
+        found = docker.auth.load_config().resolve_authconfig(host) or {}  # type: ignore[attr-defined]
+    except docker.errors.DockerException as problem:
+        raise DesktopError(f"Docker's credential store fails for {host}: {problem}") from problem
+    said = {key.lower(): value for key, value in found.items()}  # a store writes its keys in capitals
+    user, password = said.get("username"), said.get("password")
+    return (user, password) if user and password else None
+
+
 @contextlib.contextmanager
 def _scratch() -> Generator[Path]:
     """A folder for what is pushed. It is not in the system's temporary folder, which may be in memory."""
@@ -360,17 +378,6 @@ def _scratch() -> Generator[Path]:
     above.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".push-", dir=above) as name:
         yield Path(name)
-
-
-def _small_members(chunks: Iterable[bytes]) -> dict[str, bytes]:
-    """The members of an archive that are small enough to be JSON, by name."""
-    stream = io.BufferedReader(Chunks(chunks), CHUNK)
-    with tarfile.open(fileobj=stream, mode="r|", bufsize=CHUNK) as archive:
-        return {
-            member.name: content.read()
-            for member in archive
-            if member.isfile() and member.size <= SMALL and (content := archive.extractfile(member))
-        }
 
 
 def _client(sdk: ModuleType) -> docker.DockerClient:

@@ -155,6 +155,9 @@ else
 fi
 section daemon
 cat /etc/docker/daemon.json 2>/dev/null || sudo -n cat /etc/docker/daemon.json 2>/dev/null
+section certs
+[ ! -d /etc/docker/certs.d ] || { [ "$(id -u)" = 0 ] && sha256sum /etc/docker/certs.d/*/*; } 2>/dev/null ||
+    sudo -n sh -c 'sha256sum /etc/docker/certs.d/*/*' 2>/dev/null
 section packages
 # shellcheck disable=SC2016  # the braces are dpkg-query's
 dpkg-query -W -f '${db:Status-Abbrev}${Package}\n' docker-ce docker.io docker-buildx \
@@ -266,6 +269,10 @@ if [ "${1-}" = images ]; then
     section receipts
     for file in "$HOME"/.fleet/receipts/*; do
         [ -f "$file" ] && printf '%s ' "$(sha256sum <"$file" | cut -c1-64)" && tr -d '\n' <"$file" && echo
+    done
+    section pulled
+    for file in "$HOME"/.fleet/pulled/*; do
+        case $file in *.new | */references) ;; *) [ -f "$file" ] && tr -d '\n' <"$file" && echo ;; esac
     done
     section spool
     (

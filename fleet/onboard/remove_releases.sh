@@ -28,6 +28,6 @@ done
 [ "$#" -eq 0 ] || shift
 for image in "$@"; do
     if ! grep -rqsF "\"$image\"" stacks/*/releases/*/compose*.yaml releases/*/compose*.yaml; then
-        docker image rm "$image" && rm -f "receipts/${image##*:fleet-}"
+        docker image rm "$image" && rm -f "receipts/${image##*:fleet-}" "pulled/${image##*:fleet-}"
     fi
 done

@@ -11,8 +11,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """The steps that bring the missing images. ``forecast`` says what they will take, ``transfer`` how they do it."""
+    """The steps that bring the missing images. ``forecast`` says what they will take, ``transfer`` how they do it.
+
+    ``way`` is the way in the robot's history, if it is not SSH: ``registry 10.0.0.5:5000``.
+    """
 
     steps: tuple[Step, ...] = ()
     forecast: str = ""
     transfer: str = ""
+    way: str = ""

@@ -5,7 +5,13 @@ Values only: a plan can be compared, printed (`fleet.plan.describe`) or applied 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fleet.config.registry import Registry
+    from fleet.images.layer import Blob
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +73,54 @@ class UploadBatch:
         return sum(piece.size - piece.there for piece in self.pieces)
 
 
-Feed = Bytes | ImageArchive | UploadBatch
+@dataclass(frozen=True, kw_only=True)
+class Pulled:
+    """An image that a robot pulls: its path in the registry, its manifest and configuration, and the blobs of its layers.
+
+    ``name`` is its name on robots.
+    """
+
+    name: str
+    path: str
+    manifest: bytes
+    config: bytes
+    blobs: tuple[Blob, ...]
+
+    @property
+    def digest(self) -> str:
+        """The digest of the manifest, by which it is pulled."""
+        return f"sha256:{hashlib.sha256(self.manifest).hexdigest()}"
+
+    @property
+    def identity(self) -> str:
+        """The digest of the configuration."""
+        return f"sha256:{hashlib.sha256(self.config).hexdigest()}"
+
+    @property
+    def tag(self) -> str:
+        """Its tag in the registry: without one, a registry that is cleaned up may lose it. Each packing has its own."""
+        return f"{self.name.rpartition(':')[2]}-{self.digest.removeprefix('sha256:')[:12]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pull:
+    """Images that a robot pulls from a registry: from ``registry``, or without one from this computer, through SSH.
+
+    ``label`` is their name for people. ``bytes`` are those of the layers that the robot lacks.
+    """
+
+    label: str
+    images: tuple[Pulled, ...]
+    bytes: int
+    registry: Registry | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes that will come through SSH."""
+        return 0 if self.registry else self.bytes
+
+
+Feed = Bytes | ImageArchive | UploadBatch | Pull
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import hashlib
 import re
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from fleet import onboard
 from fleet.errors import NotReady
 from fleet.plan import readiness
 from fleet.plan.step import Bytes, Plan, Record, Step
-from fleet.provision import apt, daemon_json, hardware, jetson, sudo, whole_file
+from fleet.provision import apt, daemon_json, hardware, jetson, registry_certs, sudo, whole_file
 from fleet.provision.sudo import as_root
 from fleet.robot.paths import HOME
 from fleet.units import human_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from fleet.config.inventory import Robot
     from fleet.robot.facts import Facts
 
@@ -31,6 +34,7 @@ CLOCK_MAY_DIFFER = 60.0
 """Seconds. A Pi has no clock of its own; apt and TLS refuse files and certificates that seem to come from the future."""
 
 _DEFAULT = apt.Bounds()
+_NONE: Mapping[str, bytes] = MappingProxyType({})
 _CLASHING = ("docker-buildx", "docker-compose", "docker-compose-v2")
 """Packages of Debian and Ubuntu that contain files of Docker's own packages; dpkg refuses to install both."""
 
@@ -53,12 +57,13 @@ def plan(
     script: bytes,
     now: float,
     by: str,
+    certificates: Mapping[str, bytes] = _NONE,
     bounds: apt.Bounds = _DEFAULT,
 ) -> Plan:
     """The steps after which Docker works for the robot's login; a plan without steps if it works already.
 
     ``script`` is Docker's convenience script; it may be empty if `needs_script` is false. ``now`` is the current time in
-    seconds since the epoch.
+    seconds since the epoch. ``certificates`` are those of the robot's registry (`fleet.cli.registry_access.certificates`).
 
     Raises:
         NotReady: the user has to change something on the robot or in the inventory first.
@@ -66,9 +71,8 @@ def plan(
     """
     _check_kind(robot, facts)
     _check_version(robot, facts)
-    changes = _changes(
-        robot, facts, install=_installation(robot, facts, script=script, bounds=bounds), now=now
-    )
+    install = _installation(robot, facts, script=script, bounds=bounds)
+    changes = _changes(robot, facts, install=install, certificates=certificates, now=now)
     zstd = apt.zstd(facts=facts, bounds=bounds)
     steps = changes or zstd
     if not steps:
@@ -89,13 +93,16 @@ def plan(
     )
 
 
-def _changes(robot: Robot, facts: Facts, *, install: tuple[Step, ...], now: float) -> tuple[Step, ...]:
+def _changes(
+    robot: Robot, facts: Facts, *, install: tuple[Step, ...], certificates: Mapping[str, bytes], now: float
+) -> tuple[Step, ...]:
     if install:
         _check_disk(facts)
     return (
         *_clock(facts, now=now),
         *hardware.steps(robot, facts),
         *daemon_json.steps(robot, facts),
+        *registry_certs.steps(robot, facts, certificates),
         *install,
         *_login(facts),
         *_boot(facts),

@@ -21,15 +21,16 @@ def step(
     label: str,
     root: Facts | None = None,
     keep: bool = False,
+    secret: bool = False,
     limit: float = 20.0,
 ) -> Step:
     """Write ``data`` to ``path``; as root if the facts of the robot are given as ``root``.
 
-    ``keep``: the file is a person's too, and what was there the first time stays as ``PATH.before-fleet``. ``limit`` is in
-    seconds.
+    ``keep``: the file is a person's too, and what was there the first time stays as ``PATH.before-fleet``.
+    ``secret``: only its owner may read it. ``limit`` is in seconds.
     """
     run = ("sh", "-c", onboard.text("replace_file.sh"), "replace_file")
-    argv = (*run, path, digest(data), *(("keep",) if keep else ()))
+    argv = (*run, path, digest(data), *(("secret",) if secret else ("keep",) if keep else ()))
     return Step(
         title=title,
         argv=as_root(root, *argv) if root else argv,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from fleet.images.layer import Blob
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
 
 MOST_LEFTOVERS = 1000
@@ -30,23 +30,26 @@ class ImageStore:
     """The images and layers on a robot, and the tools that can rebuild layers. Sizes are in bytes.
 
     ``chains`` are the layers (diff IDs) of each image, lowest first. ``manifests`` are the receipts of images on the robot,
-    each as the blobs of its layers. ``spool`` maps a digest to the number of its bytes that have arrived. ``pins`` maps
+    each as the blobs of its layers. ``pulled`` are the digests of blobs that came by a pull, whose layers Docker can find by
+    them. ``spool`` maps a digest to the number of its bytes that have arrived. ``pins`` maps
     each release to the images it runs. ``sizes`` are the sizes of fleet's images by name, shared layers included.
-    ``leftovers`` are files and images of interrupted commands, which `onboard/sweep.sh` may remove.
+    ``certs`` maps the files of registries, in ``/etc/docker/certs.d``, to their SHA-256. ``leftovers`` are files and images of interrupted commands, which `onboard/sweep.sh` may remove.
     """
 
     chains: tuple[tuple[str, ...], ...] = ()
     manifests: tuple[tuple[Blob, ...], ...] = ()
+    pulled: frozenset[str] = frozenset()
     spool: Mapping[str, int] = field(default_factory=dict)
     pins: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     sizes: Mapping[str, int] = field(default_factory=dict)
+    certs: Mapping[str, str] = field(default_factory=dict)
     leftovers: tuple[str, ...] = ()
     zstd: bool = False
     python: bool = False
 
 
 def parse(sections: Mapping[str, str]) -> ImageStore:
-    """Read the sections that ``probe_images.sh`` prints. A missing or broken one counts as empty: then more is sent."""
+    """Read the sections that the probe prints. A missing or broken one counts as empty: then more is sent."""
     images = [line.partition(" ") for line in sections.get("layers", "").splitlines()]
     layers = {name: _layers(listing) for name, _, listing in images}
     receipts = (line.partition(" ") for line in sections.get("receipts", "").splitlines())
@@ -59,9 +62,13 @@ def parse(sections: Mapping[str, str]) -> ImageStore:
     return ImageStore(
         chains=tuple(dict.fromkeys(filter(None, layers.values()))),
         manifests=tuple(filter(None, manifests)),
+        pulled=frozenset(
+            digest for line in sections.get("pulled", "").splitlines() for digest in _pulled(line, layers)
+        ),
         spool=_spool(sections.get("spool", "")),
         pins=_pins(sections.get("pins", "")),
         sizes=_sizes(sections.get("sizes", "")),
+        certs=_certs(sections.get("certs", "")),
         leftovers=tuple(sections.get("leftovers", "").splitlines()[:MOST_LEFTOVERS]),
         zstd="zstd" in tools,
         python="python3" in tools,
@@ -96,6 +103,16 @@ def _blobs(manifest: str, diff_ids: tuple[str, ...]) -> tuple[Blob, ...]:
     return blobs if all(map(_is_sound, blobs)) else ()
 
 
+def _pulled(manifest: str, layers: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
+    """The digests of the blobs of an image that was pulled and is still in a classic store, whose IDs are those of configurations."""
+    try:
+        described = json.loads(manifest)
+        if described["config"]["digest"] in layers:
+            yield from (str(layer["digest"]) for layer in described["layers"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return
+
+
 def _is_sound(blob: Blob) -> bool:
     """Whether a robot's words about a blob have the form that the field has: they become an image's manifest again."""
     return (
@@ -111,6 +128,13 @@ def _is_sound(blob: Blob) -> bool:
 def _spool(listing: str) -> dict[str, int]:
     matches = (re.fullmatch(r"([0-9a-f]{64}) ([0-9]{1,15})", line) for line in listing.splitlines())
     return {match[1]: int(match[2]) for match in matches if match}
+
+
+def _certs(listing: str) -> dict[str, str]:
+    """The lines of ``sha256sum``: digest by path."""
+    lines = listing.splitlines()
+    found = (re.fullmatch(r"([0-9a-f]{64}) [ *](/etc/docker/certs\.d/[^/]+/[^/]+)", line) for line in lines)
+    return {match[2]: match[1] for match in found if match}
 
 
 def _sizes(listing: str) -> dict[str, int]:

@@ -13,6 +13,7 @@ Plain files in the login's ``~/.fleet/``, readable and usable by hand::
       dev/                  what `fab dev` has brought into the containers, by whom; there only until a release is back
       proved                the containers whose health check has passed in a swap
     receipts/               the manifests of the images that were sent, for a containerd store
+    pulled/                 the manifests of those that Docker has pulled from a registry
     spool/                  uploads that were interrupted; empty otherwise
     stick/                  the work of `sh install` on a USB stick; empty otherwise
     runs/                   what goes on without a desktop: its script, for a power cut, and its output

@@ -57,6 +57,7 @@ _LINES = {
     "layers",
     "sizes",
     "receipts",
+    "pulled",
     "spool",
     "pins",
 }

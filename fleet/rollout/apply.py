@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fleet.plan.step import Feed, Plan, Step
     from fleet.rollout.link import Link
     from fleet.rollout.progress import Progress
+    from fleet.ssh.session import Stream
 
     Opener = Callable[[Feed], Iterable[bytes]]
 
@@ -61,6 +62,19 @@ class InteractiveFeed(Protocol):
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield the bytes to send."""
+
+
+@runtime_checkable
+class ServingFeed(InteractiveFeed, Protocol):
+    """One that also answers connections which the robot makes to a port of its own, through SSH."""
+
+    on_served: Callable[[int], None]
+
+    def begin(self, port: int) -> None:
+        """Be told which port of the robot's loopback it is."""
+
+    def serve(self, stream: Stream) -> None:
+        """Answer one connection, until it ends."""
 
 
 def apply(
@@ -158,7 +172,9 @@ class _Work:
 
     def _do(self, step: Step, *, quietly: bool) -> None:
         if not quietly:
-            self._progress.step_started(self._robot, step.title, step.feed.size if step.feed else None)
+            self._progress.step_started(
+                self._robot, step.title, (step.feed.size or None) if step.feed else None
+            )
         if step.detached:
             self._attend(step)
             return
@@ -167,17 +183,19 @@ class _Work:
             _do(step, self._link, verb=self._verb, feed=feed, on_sent=self._count, notes=self._notes())
             return
         feed.on_note = lambda text: self._progress.step_started(self._robot, text, None)
-        try:
+        with contextlib.ExitStack() as stack:
+            if isinstance(feed, ServingFeed):
+                feed.on_served = self._count
+                feed.begin(stack.enter_context(self._link.session.forwarded(feed.serve)))
+            stack.callback(feed.close)
             _do(
                 step,
                 self._link,
                 verb=self._verb,
                 feed=feed,
-                on_sent=self._count,
+                on_sent=None if isinstance(feed, ServingFeed) else self._count,
                 on_output=feed.on_output,
             )
-        finally:
-            feed.close()
 
     def _notes(self) -> _Notes:
         return _Notes(

@@ -28,7 +28,7 @@ from fleet.ssh.approach import Approach
 from fleet.ssh.channel import AGAIN
 from fleet.ssh.known_hosts import HostKey, KnownHosts
 from fleet.ssh.proxy_command import ProxySocket
-from fleet.ssh.session import Result, Session, close
+from fleet.ssh.session import ALLOW_FORWARDING, Result, Session, close
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -152,6 +152,16 @@ class _Transport(paramiko.Transport):
                 raise NotReady(f"the robot's sshd cannot start a command: {problem}", cure=cure) from problem
             raise LinkLost("the connection was lost before the command started", cure=AGAIN) from problem
         return channel
+
+    def listen(self, take: Callable[[paramiko.Channel], None]) -> int:
+        try:
+            return self.request_port_forward("127.0.0.1", 0, lambda channel, _from, _to: take(channel))
+        except (paramiko.SSHException, EOFError, OSError) as problem:
+            if self.is_active():
+                raise NotReady("its sshd forwards no ports", cure=ALLOW_FORWARDING) from problem
+            raise LinkLost(
+                "the connection was lost before its sshd forwarded a port", cure=AGAIN
+            ) from problem
 
     def close(self) -> None:
         super().close()

@@ -13,10 +13,16 @@ from fleet.errors import TimedOut
 from fleet.ssh.channel import KEPT, Channel, ChannelPump, Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Generator, Iterable
     from types import TracebackType
 
     from fleet.ssh.channel import OnOutput, OnSent
+
+
+ALLOW_FORWARDING = (
+    "allow it in its sshd_config (`AllowTcpForwarding yes`), or remove `transport: registry` of this robot"
+)
+"""The cure where a robot shall pull through SSH and its sshd forwards no port."""
 
 
 class ClosableChannel(Channel, Protocol):
@@ -26,8 +32,30 @@ class ClosableChannel(Channel, Protocol):
         """Close it; output that was not read is lost."""
 
 
+class Stream(Protocol):
+    """A connection that was made at the robot: the part of ``paramiko.Channel`` that is used of it."""
+
+    def settimeout(self, timeout: float | None) -> None:
+        """Set the seconds for which `recv` and `sendall` wait."""
+
+    def recv(self, nbytes: int) -> bytes:
+        """Receive some bytes; none at the end."""
+
+    def sendall(self, s: bytes) -> None:
+        """Send all bytes."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
 class Connection(Transport, Protocol):
-    """A transport that starts commands."""
+    """A transport that starts commands, and that can bring connections from the robot here."""
+
+    def listen(self, take: Callable[[Stream], None]) -> int:
+        """Let the robot listen on loopback, pass its connections to ``take``, and return the port. Raises as `begin`."""
+
+    def cancel_port_forward(self, address: str, port: int) -> None:
+        """End that."""
 
     def begin(self, command: str) -> ClosableChannel:
         """Start a shell command. Raises `LinkLost`, or `NotReady` if the robot refuses."""
@@ -116,15 +144,47 @@ class Session:
             raise TimedOut(what, cure="check whether the robot is overloaded")
         return Result(code=code, output=pump.output, errors=pump.errors)
 
+    @contextlib.contextmanager
+    def forwarded(self, serve: Callable[[Stream], None]) -> Generator[int]:
+        """Listen on a port of the robot's loopback, which is yielded; each connection to it calls ``serve`` in a thread.
+
+        Raises:
+            LinkLost: the connection was lost.
+            NotReady: the robot's sshd forwards no ports.
+
+        """
+
+        def take(stream: Stream) -> None:
+            threading.Thread(target=_serve_and_close, args=(serve, stream), daemon=True).start()
+
+        with self._watched():
+            port = self._chain[-1].listen(take)
+        try:
+            yield port
+        finally:
+            with contextlib.suppress(Exception), self._watched():  # a lost link has ended it
+                self._chain[-1].cancel_port_forward("127.0.0.1", port)
+
     def _start(self, command: str) -> ClosableChannel:
-        # Paramiko would wait forever for an sshd that is frozen.
+        with self._watched():
+            return self._chain[-1].begin(command)
+
+    @contextlib.contextmanager
+    def _watched(self) -> Generator[None]:
+        """Close the connection if this takes too long: Paramiko would wait forever for an sshd that is frozen."""
         watchdog = threading.Timer(self._link_timeout, self.close)
         watchdog.daemon = True
         watchdog.start()
         try:
-            return self._chain[-1].begin(command)
+            yield
         finally:
             watchdog.cancel()
+
+
+def _serve_and_close(serve: Callable[[Stream], None], stream: Stream) -> None:
+    # A connection that breaks is noticed at its other end, which has the error message.
+    with contextlib.closing(stream), contextlib.suppress(Exception):
+        serve(stream)
 
 
 def close(chain: Iterable[Connection]) -> None:

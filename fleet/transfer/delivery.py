@@ -94,10 +94,10 @@ def layers(
     return Delivery(
         steps=(
             receive.step(batch, skeleton, members, rebuilt, title=f"send {label}{rebuilding}", run=run),
-            *(_prove(image) for image, _ in images),
+            *(prove(image) for image, _ in images),
         ),
         forecast="; ".join(
-            (f"lacks {label}, {_cost(batch, run.rate)}{rebuilding}", _disk(facts.disk.free, after))
+            (f"lacks {label}, {_cost(batch, run.rate)}{rebuilding}", disk(facts.disk.free, after))
         ),
         transfer=f"{label}{rebuilding}",
     )
@@ -151,7 +151,8 @@ def _cost(batch: UploadBatch, rate: float | None) -> str:
     return f"{human_bytes(batch.size)} packed{earlier}{at}"
 
 
-def _disk(free: float, after: float) -> str:
+def disk(free: float, after: float) -> str:
+    """The free bytes now and afterwards, in words."""
     return f"disk: {human_bytes(free)} free, {human_bytes(after)} afterwards"
 
 
@@ -163,8 +164,8 @@ def stream(images: Sequence[Image], *, facts: Facts) -> Delivery:
 
     """
     size = sum(image.size for image in images)
-    _refuse(2 * SLACK * size, facts)
-    steps = (step for image in images for step in (_load(image), _prove(image)))
+    refuse(2 * SLACK * size, facts)
+    steps = (step for image in images for step in (_load(image), prove(image)))
     return Delivery(
         steps=tuple(steps), forecast=f"sends {human_bytes(size)}, whole images", transfer="whole images"
     )
@@ -178,7 +179,7 @@ def _check_disk(sent: Sequence[Blob], batch: UploadBatch, facts: Facts) -> float
     """
     packed = sum(blob.size for blob in sent)
     unpacked = SLACK * sum(blob.unpacked for blob in sent)
-    _refuse(packed + unpacked + (batch.size if facts.disk.shared else 0), facts)
+    refuse(packed + unpacked + (batch.size if facts.disk.shared else 0), facts)
     if not facts.disk.shared and batch.size > facts.disk.home_free:
         raise NotReady(
             f"its home directory needs {human_bytes(batch.size)} of free disk for the upload, "
@@ -188,7 +189,8 @@ def _check_disk(sent: Sequence[Blob], batch: UploadBatch, facts: Facts) -> float
     return facts.disk.free - unpacked - (packed if facts.docker.containerd else 0)
 
 
-def _refuse(needed: float, facts: Facts) -> None:
+def refuse(needed: float, facts: Facts) -> None:
+    """Raise `NotReady` if the robot's disk has fewer free bytes than are needed."""
     if needed > facts.disk.free:
         raise NotReady(
             f"it needs {human_bytes(needed)} of free disk, and has {human_bytes(facts.disk.free)}",
@@ -207,7 +209,7 @@ def _load(image: Image) -> Step:
     )
 
 
-def _prove(image: Image) -> Step:
+def prove(image: Image) -> Step:
     """Prove an image by its identity: a containerd store prints ``Loaded image`` even for a broken one."""
     return Step(
         title="prove that the image arrived unchanged",

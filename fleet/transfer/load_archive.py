@@ -28,9 +28,9 @@ BLOCK = 512
 INCOMING = "fleet/incoming"
 """The repository of images that were loaded and not yet proved."""
 
-_MANIFEST = "application/vnd.oci.image.manifest.v1+json"
-_CONFIG = "application/vnd.oci.image.config.v1+json"
-_INDEX = "application/vnd.oci.image.index.v1+json"
+MANIFEST = "application/vnd.oci.image.manifest.v1+json"
+CONFIG = "application/vnd.oci.image.config.v1+json"
+INDEX = "application/vnd.oci.image.index.v1+json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,22 +94,32 @@ def skeleton(
     manifests = []
     index, listing = [], []
     for image in images:
-        layers = [_descriptor(diff_id, blobs.get(diff_id)) for diff_id in image.diff_ids]
         config = _add(buffer, image.config)
-        described = {"mediaType": _CONFIG, "digest": f"sha256:{config}", "size": len(image.config)}
-        manifest = _json({"schemaVersion": 2, "mediaType": _MANIFEST, "config": described, "layers": layers})
+        manifest = manifest_of(image, blobs)
         offset = buffer.tell() + BLOCK
         digest = _add(buffer, manifest)
         ids = (f"sha256:{config}", f"sha256:{digest}")
         manifests.append(StoredManifest(image=image, ids=ids, offset=offset, length=len(manifest)))
         loaded_as = image.incoming if incoming else image.name
         index.append(_entry(image, loaded_as, digest=digest, size=len(manifest)))
-        paths = [f"blobs/sha256/{str(layer['digest']).removeprefix('sha256:')}" for layer in layers]
+        named = (blobs[one].digest if one in blobs else one for one in image.diff_ids)
+        paths = [f"blobs/sha256/{digest.removeprefix('sha256:')}" for digest in named]
         listing.append({"Config": f"blobs/sha256/{config}", "RepoTags": [loaded_as], "Layers": paths})
-    _add(buffer, _json({"schemaVersion": 2, "mediaType": _INDEX, "manifests": index}), "index.json")
+    _add(buffer, _json({"schemaVersion": 2, "mediaType": INDEX, "manifests": index}), "index.json")
     _add(buffer, _json({"imageLayoutVersion": "1.0.0"}), "oci-layout")
     _add(buffer, _json(listing), "manifest.json")
     return ArchiveSkeleton(data=buffer.getvalue(), manifests=tuple(manifests))
+
+
+def manifest_of(image: TargetImage, blobs: Mapping[str, Blob]) -> bytes:
+    """The manifest of an image; ``blobs`` as in `skeleton`. Its digest is the image's ID in a containerd store."""
+    layers = [_descriptor(diff_id, blobs.get(diff_id)) for diff_id in image.diff_ids]
+    described = {
+        "mediaType": CONFIG,
+        "digest": f"sha256:{hashlib.sha256(image.config).hexdigest()}",
+        "size": len(image.config),
+    }
+    return _json({"schemaVersion": 2, "mediaType": MANIFEST, "config": described, "layers": layers})
 
 
 def _descriptor(diff_id: str, blob: Blob | None) -> dict[str, object]:
@@ -124,7 +134,7 @@ def _entry(image: TargetImage, name: str, *, digest: str, size: int) -> dict[str
         "io.containerd.image.name": full_name(name),
         "org.opencontainers.image.ref.name": image.fingerprint,
     }
-    return {"mediaType": _MANIFEST, "digest": f"sha256:{digest}", "size": size, "annotations": names}
+    return {"mediaType": MANIFEST, "digest": f"sha256:{digest}", "size": size, "annotations": names}
 
 
 def _add(buffer: io.BytesIO, data: bytes, name: str = "") -> str:

@@ -7,14 +7,16 @@ import secrets
 from typing import TYPE_CHECKING, Protocol, Self
 
 from fleet.plan.delivery import Delivery
-from fleet.plan.step import ImageArchive, UploadBatch
-from fleet.transfer import delivery, rebuild_command
+from fleet.plan.step import ImageArchive, Pull, UploadBatch
+from fleet.transfer import delivery, pull, rebuild_command
 from fleet.transfer.layer_cache import LayerCache, folder
 from fleet.transfer.link_rates import LinkRates, lowest
 from fleet.transfer.load_archive import TargetImage
 from fleet.transfer.patch_cache import PatchCache
+from fleet.transfer.pull_server import PullFeed, PullServer
 from fleet.transfer.rebuild_command import RebuiltLayer
 from fleet.transfer.receive import TransferRun
+from fleet.transfer.registry_push import Registries
 from fleet.transfer.upload_server import UploadServer
 
 if TYPE_CHECKING:
@@ -27,9 +29,11 @@ if TYPE_CHECKING:
     from fleet.images.layer import Blob
     from fleet.plan.step import Feed
     from fleet.robot.facts import Facts
+    from fleet.transfer.codec import Encoding
     from fleet.transfer.delivery import Strategy
     from fleet.transfer.rate_limit import RateLimiter
     from fleet.transfer.rebuild_command import Source
+    from fleet.transfer.registry_push import Logins
 
 
 class Images(Protocol):
@@ -51,7 +55,8 @@ class Images(Protocol):
 class Sender:
     """The transfers of one run of `fab ship`.
 
-    ``archive`` reads an image out of Docker, as `fleet.images.store.Store.archive` does. ``rates`` is the file with the
+    ``archive`` reads an image out of Docker, as `fleet.images.store.Store.archive` does. ``logins`` finds the login of a
+    registry. ``rates`` is the file with the
     measured rates of links; it may be removed at any time.
     """
 
@@ -63,6 +68,7 @@ class Sender:
         by: str,
         rates: Path,
         archive: Callable[[str, str], Iterable[bytes]],
+        logins: Logins = lambda _: None,
     ) -> None:
         self._cache = cache
         self._patches = PatchCache(cache)
@@ -70,11 +76,14 @@ class Sender:
         self._by = by
         self._rates = LinkRates(rates)
         self._archive = archive
+        self._registries = Registries(open_blob=cache.open, logins=logins)
         self._token = secrets.token_hex(8)
 
     @classmethod
     @contextlib.contextmanager
-    def using(cls, store: Images, *, limiter: RateLimiter, by: str) -> Generator[Self]:
+    def using(
+        cls, store: Images, *, limiter: RateLimiter, by: str, logins: Logins = lambda _: None
+    ) -> Generator[Self]:
         """A sender of images, whose cache is reduced to its maximum size at the end."""
         directory = folder()
         cache = LayerCache(
@@ -82,7 +91,7 @@ class Sender:
         )
         rates = directory.parent / "rates.json"
         try:
-            yield cls(cache=cache, limiter=limiter, by=by, rates=rates, archive=store.archive)
+            yield cls(cache=cache, limiter=limiter, by=by, rates=rates, archive=store.archive, logins=logins)
         finally:
             cache.tidy()
 
@@ -96,24 +105,46 @@ class Sender:
         """
         if not images:
             return Delivery()
+        if robot.transport == "registry":
+            return self._pull(images, robot=robot, facts=facts)
         if strategy == "plain stream":
             return delivery.stream(images, facts=facts)
         missing = delivery.missing(images, facts, strategy=strategy)
         encoding, rate = delivery.encoding(facts), self._rate(robot)
-        packed: dict[str, Blob] = {}
-        for image in images:
-            unpacked = [
-                diff_id for diff_id in image.layers if diff_id in missing.send and diff_id not in packed
-            ]
-            packed |= self._cache.pack(image, unpacked, encoding) if unpacked else {}
+        packed = self._packed(dict.fromkeys(images, missing.send), encoding)
         return delivery.layers(
             tuple((image, self._target(image)) for image in images),
             missing=missing,
             packed=packed,
             rebuilt=self._rebuilt(images, packed, facts, rate=rate) if strategy == "patches" else {},
             facts=facts,
-            run=TransferRun(to=robot.address, token=self._token, by=self._by, rate=rate),
+            run=self._run(robot),
         )
+
+    def _pull(self, images: Sequence[Image], *, robot: Robot, facts: Facts) -> Delivery:
+        wanted = {image: pull.needed(image, facts, robot=robot) for image in images}
+        planned = pull.plan(
+            tuple((image, self._target(image)) for image in images),
+            packed=self._packed(wanted, delivery.encoding(facts)),
+            robot=robot,
+            facts=facts,
+            run=self._run(robot),
+        )
+        if not robot.registry:
+            return planned
+        pulled = [one for step in planned.steps if isinstance(step.feed, Pull) for one in step.feed.images]
+        return pull.after_push(planned, self._registries.lacks(robot.registry, pulled))
+
+    def _packed(self, wanted: Mapping[Image, Collection[str]], encoding: Encoding) -> dict[str, Blob]:
+        """The layers of images that are wanted of each, packed, by diff ID. Those that images share are packed once."""
+        packed: dict[str, Blob] = {}
+        for image, diff_ids in wanted.items():
+            new = [diff_id for diff_id in image.layers if diff_id in diff_ids and diff_id not in packed]
+            packed |= self._cache.pack(image, new, encoding) if new else {}
+        return packed
+
+    def _run(self, robot: Robot) -> TransferRun:
+        return TransferRun(to=robot.address, token=self._token, by=self._by, rate=self._rate(robot))
 
     def open(self, feed: Feed) -> Iterable[bytes]:
         """The bytes of a step's feed. Of an upload batch these are the bytes that the robot asks for."""
@@ -121,6 +152,12 @@ class Sender:
             return UploadServer(
                 feed, open_blob=self._cache.open, limiter=self._limiter, on_end=self._rates.note
             )
+        if isinstance(feed, Pull) and feed.registry:
+            self._registries.push(feed.registry, feed.images)
+            login = self._registries.docker_config(feed.registry, feed.images)
+            return PullFeed(feed.images, address=feed.registry.host, login=login)
+        if isinstance(feed, Pull):
+            return PullServer(feed.images, open_blob=self._cache.open, limiter=self._limiter)
         if isinstance(feed, ImageArchive):
             return self._archive(feed.image, feed.reference)
         raise TypeError(f"{feed.label} needs no sender")

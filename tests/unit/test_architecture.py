@@ -20,7 +20,10 @@ LIBRARIES = {
     "cli.console": {"rich"},
     "images.store": {"docker"},
     "config.inventory": {"pydantic", "pydantic_core"},
-    **{name: {"pydantic"} for name in ("config.card", "config.hardware", "config.model", "config.ros")},
+    **{
+        name: {"pydantic"}
+        for name in ("config.card", "config.hardware", "config.model", "config.registry", "config.ros")
+    },
     "ssh.connect": {"paramiko"},
     "transfer.codec": {"backports", "compression"},
     "config.project_files": {"pathspec"},
@@ -37,6 +40,7 @@ PURE = {
         f"diagnosis.{name}"
         for name in ("explain", "installer_errors", "known_error", "known_errors", "packages")
     ),
+    "diagnosis.registry_errors",
     *("config.image_reference", "config.selection", "config.stack", "config.validation"),
     *("images.build_log", "images.chunks", "images.image", "images.layer"),
     *("card.custom_toml", "card.first_boot", "card.userconf"),
@@ -51,10 +55,10 @@ PURE = {
         for name in ("claims", "compose_steps", "containers", "delivery", "describe", "outcome", "prune")
     ),
     *(f"plan.{name}" for name in ("dev_steps", "hardware", "readiness", "ship", "step", "watch")),
-    *("provision.hardware", "provision.jetson"),
+    *("provision.hardware", "provision.jetson", "provision.registry_certs"),
     *("provision.apt", "provision.daemon_json", "provision.steps", "provision.sudo", "provision.whole_file"),
     *("transfer.codec", "transfer.delivery", "transfer.load_archive", "transfer.missing"),
-    *("transfer.patch_format", "transfer.rebuild_command", "transfer.receive"),
+    *("transfer.patch_format", "transfer.pull", "transfer.rebuild_command", "transfer.receive"),
     *("cli.json_output", "cli.overview", "cli.status"),
     *("config", "diagnosis", "images", "onboard", "provision", "card", "robot", "ros", "starter", "transfer"),
 }
@@ -72,6 +76,7 @@ READS_FILES = {
         "config.model",
         "config.merge",
         "config.project_files",
+        "config.registry",
         "config.yamlfile",
     ),
     *("config.compose_wording", "config.docker_rules", "config.watch", "robot.release"),

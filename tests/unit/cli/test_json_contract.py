@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet.cli import find, heard, json_output, status
+from fleet.cli.push import Pushed
 from fleet.config.hardware import Hardware, Usb
 from fleet.config.inventory import StackFiles
+from fleet.config.registry import Registry
 from fleet.errors import Unreachable
+from fleet.images.layer import Blob
 from fleet.plan.outcome import Outcome
-from fleet.plan.step import Bytes, ImageArchive, Plan, Record, Step, Upload, UploadBatch
+from fleet.plan.step import Bytes, ImageArchive, Plan, Pull, Pulled, Record, Step, Upload, UploadBatch
 from fleet.robot.facts import Dev
 from fleet.rollout.sighting import Candidate, Sighting
 from fleet.ros.measure import Report
@@ -51,6 +54,7 @@ STACK = {
     "journal",
     "boot",
     "stopped",
+    "came",
 }
 DEV = {"dev", "dev.by", "dev.since"}
 STATUS = {
@@ -76,6 +80,8 @@ STATUS = {
 UNREACHABLE = {"reachable", "reason", "cure"}
 INVENTORY = {
     *("name", "address", "user", "port", "identity_file", "platform", "boot"),
+    *("transport", "registry"),
+    *(f"registry.{key}" for key in ("address", "ca", "client_cert", "client_key", "user", "token")),
     *(f"ros.{key}" for key in ("version", "master", "hostname", "ip", "namespace", "strict")),
     *(f"ros.{key}" for key in ("domain", "rmw", "discovery", "peers")),
     *(f"docker.{key}" for key in ("script", "sha256", "version", "log_max_size", "log_max_file")),
@@ -117,6 +123,7 @@ PLAN = Plan(
 WHOLE = PI.model_copy(
     update={
         "stacks": (StackFiles(files=(Path("compose.yaml"),)),),
+        "registry": Registry(address="registry.local:5000"),
         "hardware": Hardware(udev={"lidar": Usb(vendor="10c4", product="ea60")}),
     }
 )
@@ -140,6 +147,10 @@ PRINTED = {
     ),
     "A robot that could not be reached": (UNREACHABLE, status.record(Unreachable("away", cure="look"))),
     "`fab find --json`": (FOUND, find.record(SEEN, model="")),
+    "`fab push --json`": (
+        {"image", "platforms", "bytes"},
+        Pushed(image="r:5000/talker:1", platforms=("linux/arm64",), bytes=1)._asdict(),
+    ),
     "`fab inventory --json`": (INVENTORY, WHOLE.model_dump(mode="json")),
     "`fab topics --json`": (
         {"name", "type", "publishers", "subscribers", "quality", "unmatched", "rate"},
@@ -156,6 +167,20 @@ PRINTED = {
     "`fab ship --json` and other verbs that change robots": (OUTCOME, Outcome(robot="pi1", status="done")),
     "`--dry --json`": (PLANS, {"plans": (PLAN,), "problems": ()}),
     "A feed that is an image": (IMAGE_FEED, ImageArchive(image="a", reference="b", size=1)),
+    "A feed that is pulled": (
+        {
+            *("label", "images", "bytes", "registry"),
+            *(f"images[].{key}" for key in ("name", "path", "manifest", "config", "blobs")),
+            *(f"images[].blobs[].{key}" for key in ("diff_id", "digest", "size", "media_type", "unpacked")),
+        },
+        Pull(
+            label="a",
+            images=(
+                Pulled(name="a", path="b", manifest=b"{}", config=b"{}", blobs=(Blob.plain("sha256:1", 1),)),
+            ),
+            bytes=1,
+        ),
+    ),
     "A feed that is a batch of uploads": (
         UPLOADS,
         UploadBatch(label="a", to="b", pieces=(Upload(digest="c", size=1),)),

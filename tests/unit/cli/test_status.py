@@ -288,3 +288,25 @@ def test_what_a_robot_is_and_has() -> None:
         "groups": "pi, sudo, docker",
         "devices": "/dev/ttyUSB0, /dev/video0",
     }
+
+
+@pytest.mark.parametrize(
+    ("by", "came", "shown"),
+    [
+        ("tim@desktop", "ssh", "abc"),
+        ("tim@desktop by registry through SSH", "registry through SSH", "abc, by registry through SSH"),
+        ("tim@desktop by registry 10.0.0.5:5000", "registry 10.0.0.5:5000", "abc, by registry 10.0.0.5:5000"),
+        ("pi by stick of 2026-11-28T10:00:00Z", "stick", "abc, by stick"),
+    ],
+)
+def test_how_a_release_came(by: str, came: str, shown: str) -> None:
+    """The last ship of it says that; a ship that failed, and a rollback, say nothing."""
+    lines = (
+        f"2026-11-28T10:00:00Z\tship\tabc\t{by}\tdone",
+        "2026-11-28T11:00:00Z\tship\tabc\tann@laptop by stick of x\tfailed: x",
+        "2026-11-28T12:00:00Z\trollback\tabc\tann@laptop\tdone",
+    )
+    seen = change(WELL, history=lines)
+    assert cells(seen)["release"][0] == shown
+    assert status.record(seen)["fleet"]["stacks"]["talker"]["came"] == came
+    assert status.record(WELL)["fleet"]["stacks"]["talker"]["came"] == ""

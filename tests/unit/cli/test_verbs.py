@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fleet import cli
-from fleet.cli import build, bundle, card, ci, deploy, dev, find, lab, observe, project
+from fleet.cli import build, bundle, card, ci, deploy, dev, find, lab, observe, project, push
 from tests.support.project import FAB
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 VERBS = {
     *("inventory", "trust", "provision", "build", "ship", "rollback", "history", "start", "stop", "restart"),
-    *("init", "completion", "remove", "topics", "bundle", "dev"),
+    *("init", "completion", "remove", "topics", "bundle", "dev", "push"),
     *("status", "logs", "run", "shell", "listen", "lab.up", "lab.down", "lab.list", "prune", "help"),
     *("card", "await", "find", "ci.github", "ci.shell"),
 }
@@ -87,7 +87,7 @@ def test_each_verb_that_changes_something_can_be_asked_first(verb: str) -> None:
 
 def test_the_verbs_are_all_those_of_the_modules() -> None:
     """Nobody adds one and forgets to list it."""
-    modules = (build, bundle, card, ci, deploy, dev, find, observe, lab, project)
+    modules = (build, bundle, card, ci, deploy, dev, find, observe, lab, project, push)
     assert (
         sum(len(module.VERBS) for module in modules) + len(("help", "completion"))
         == len(VERBS)

@@ -229,7 +229,8 @@ def test_example_as_cloned() -> None:
 
 def test_example_in_full() -> None:
     """Every commented-out line of the example is valid."""
-    write("", "config/camera.yaml")
+    for name in ("config/camera.yaml", "certs/ca.crt", "certs/client.crt", "certs/client.key"):
+        write("", name)
     fleet = inventory(example(everything=True))
     assert list(fleet.robots) == ["pi1", "pi2", "pi3", "pi4"]
     assert fleet.groups["lidar"] == ("pi1", "pi2")

@@ -27,7 +27,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("groups: {g: {robot: [x]}}", "groups.g.robot: no such key; did you mean 'robots'?"),
         (
             "defaults: {addres: x}",
-            "defaults.addres: no such key; there are: user, port, identity_file, platform, ros, docker, hardware, boot, environment, pass_environment, stack, files, card",
+            "defaults.addres: no such key; there are: user, port, identity_file, platform, ros, docker, hardware, boot, environment, pass_environment, stack, files, card, transport, registry",
         ),
         ("robots: [pi1]", "robots: must hold `key: value` lines"),
         ("robots: {pi1: [x]}", "robots.pi1: must hold `key: value` lines"),

@@ -14,6 +14,7 @@ from fleet.plan.delivery import Delivery
 from fleet.provision import steps
 from tests.support.samples import NOW, PI, facts, release
 from tests.unit.diagnosis.test_installer_errors import INSTALLERS
+from tests.unit.diagnosis.test_registry_errors import PULLS
 
 if TYPE_CHECKING:
     from fleet.diagnosis.known_error import KnownError
@@ -473,7 +474,7 @@ def test_every_sign_was_heard() -> None:
     """A sign that nothing shows may be wrong, and nobody would know; these few could not be provoked."""
     shown = {
         next(s for s in KNOWN_ERRORS if re.search(s.pattern, output, re.MULTILINE)).what
-        for output, _, _ in (*HEARD, *INSTALLERS)
+        for output, _, _ in (*HEARD, *INSTALLERS, *PULLS)
     }
     assert {sign.what for sign in KNOWN_ERRORS} - shown == {
         "the robot's disk cannot be read or written",
@@ -512,6 +513,9 @@ def test_the_same_command_again_is_a_cure_only_for_what_passes() -> None:
         "the package server {0} answers {1}: it is overloaded or down",
         "the server {0} does not answer",
         "a server answers the robot's download with {0}",
+        "the robot lost the way to the images on this computer",
+        "the registry does not have {0} with this digest any more",
+        "a layer arrived damaged from the registry",
     }
 
 

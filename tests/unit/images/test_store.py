@@ -17,7 +17,8 @@ import pytest
 
 from fleet.errors import DesktopError, ImageError
 from fleet.images import store as stores
-from fleet.images.store import CHUNK, Store, _small_members
+from fleet.images.chunks import small_members
+from fleet.images.store import CHUNK, Store
 from tests.support.handmade import Handmade, layer
 from tests.support.lab_project import eventually
 
@@ -117,7 +118,7 @@ def test_the_identity_is_the_digest_of_all_of_the_configuration(shelf: Shelf, st
     ):
         shelf.load("latest-amd64", config=config)
         found = store.find(shelf.name, "linux/amd64")
-        small = _small_members(store.export(found))
+        small = small_members(store.export(found))
         assert found.identity in {f"sha256:{hashlib.sha256(data).hexdigest()}" for data in small.values()}
         seen.add(found.identity)
     assert len(seen) == 5

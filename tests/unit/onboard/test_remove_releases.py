@@ -113,13 +113,16 @@ def test_the_old_name_of_an_adopted_release_goes_with_it(home: Path, stack: Path
 
 def test_images_that_no_release_names_go_with_their_receipts(home: Path, stack: Path) -> None:
     """Also those of the releases that were removed before them."""
-    receipts = home / ".fleet/receipts"
+    receipts, pulled = home / ".fleet/receipts", home / ".fleet/pulled"
     receipts.mkdir()
+    pulled.mkdir()
     for name in ("aaa", "bbb", "9"):
         (receipts / name).write_text("{}")
+        (pulled / name).write_text("{}")
     run(home, "aaa", "--", "nav:fleet-aaa", "nav:fleet-bbb", "used:fleet-9")
     assert asked(home) == ["image rm nav:fleet-aaa", "image rm used:fleet-9"]
-    assert sorted(path.name for path in receipts.iterdir()) == ["9", "bbb"]
+    for folder in (receipts, pulled):
+        assert sorted(path.name for path in folder.iterdir()) == ["9", "bbb"]
     assert left(stack) == ["bbb", "ccc"]
 
 

@@ -93,3 +93,24 @@ def test_the_copy_is_on_the_disk_before_the_original_goes(tmp_path: Path) -> Non
         "mv daemon.json.new daemon.json",
         "sync etc",
     ]
+
+
+def test_a_secret_is_never_readable_for_others(tmp_path: Path) -> None:
+    """Its mode is set before its content is written; a file that was open to all is closed."""
+    (tmp_path / "client.key").write_bytes(b"old")
+    (tmp_path / "client.key").chmod(0o644)
+    digest = hashlib.sha256(b"secret").hexdigest()
+    for name in ("client.key", "new.key"):
+        argv = (
+            "sh",
+            "-c",
+            onboard.text("replace_file.sh"),
+            "replace_file",
+            str(tmp_path / name),
+            digest,
+            "secret",
+        )
+        assert subprocess.run(argv, input=b"secret", check=False).returncode == 0
+        found = tmp_path / name
+        assert (found.read_bytes(), found.stat().st_mode & 0o777) == (b"secret", 0o600)
+    assert len(list(tmp_path.iterdir())) == 2

@@ -213,3 +213,23 @@ def test_json_without_bottom_is_no_traceback(deep: str) -> None:
 def test_the_size_of_an_image(said: str, size: int | None) -> None:
     """In the units in which `docker image ls` says it."""
     assert parse({"sizes": said}).sizes.get("t:fleet-1") == size
+
+
+def test_blobs_that_came_by_a_pull_are_known_as_long_as_their_image_is_there() -> None:
+    """Docker finds their layers by these digests; what an odd robot says counts for nothing."""
+    described = {**json.loads(manifest("x", "y")), "config": {"digest": f"sha256:{ONE}"}}
+    here = {"layers": f'sha256:{ONE} ["a", "b"]'}
+    assert parse({**here, "pulled": json.dumps(described)}).pulled == {"x", "y"}
+    gone = {"layers": f'sha256:{OTHER} ["a", "b"]'}
+    assert parse({**gone, "pulled": json.dumps(described)}).pulled == frozenset()
+    for odd in ("", "[]", "{}", "x", '{"config": 5, "layers": []}', "[" * 100_000):
+        assert parse({**here, "pulled": odd}).pulled == frozenset()
+
+
+def test_the_files_of_registries() -> None:
+    """As `sha256sum` prints them; nothing outside of that folder."""
+    lines = f"{ONE}  /etc/docker/certs.d/r:5000/ca.crt\n{OTHER} */etc/docker/certs.d/r:5000/a b\n{ONE}  /etc/passwd\nx"
+    assert parse({"certs": lines}).certs == {
+        "/etc/docker/certs.d/r:5000/ca.crt": ONE,
+        "/etc/docker/certs.d/r:5000/a b": OTHER,
+    }

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from fleet.plan.step import Feed
+    from fleet.ssh.session import Stream
     from tests.support.sshd import Sshd, Sshds
 
     Opener = Callable[[Feed], Iterable[bytes]]
@@ -565,6 +566,39 @@ def test_a_conversation(home: Home, script: str, status: str) -> None:
         assert told.began_with[1] == ("pi1", "it says one", None)
         assert (home.path / "got").read_text() == "ONE TWO\n"
         assert outcome.sent >= 4  # the robot may end before the last bytes are counted
+
+
+class Service(Talk):
+    """Tells the robot a port, and answers the one connection that it makes there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.port = 0
+        self.on_served: Callable[[int], None] = lambda _: None
+
+    def begin(self, port: int) -> None:
+        self.port = port
+
+    def serve(self, stream: Stream) -> None:
+        stream.sendall(stream.recv(100).upper())
+        self.on_served(1000)
+
+    def __iter__(self) -> Iterator[bytes]:
+        yield f"{self.port}\n".encode()
+        yield from super().__iter__()
+
+
+def test_a_robot_may_connect_to_this_computer(home: Home) -> None:
+    """Through SSH, to what feeds its step; bytes that were served are counted, and those of the feed are not."""
+    service = Service()
+    script = "read -r port; exec 3<>/dev/tcp/127.0.0.1/$port; echo hello >&3; head -n 1 <&3 >got"
+    step = replace(
+        Step(title="pull", argv=("bash", "-c", script)),
+        feed=ImageArchive(image="talk", reference="talk", size=8),
+    )
+    outcome = applied(home, Plan(robot="pi1", summary="", steps=(step,)), open_feed=lambda _: service)
+    assert (outcome.status, outcome.sent, service.closed) == ("done", 1000, True)
+    assert (home.path / "got").read_text() == "HELLO\n"
 
 
 @pytest.mark.usefixtures("hurried")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fleet.errors import LinkLost, TimedOut
+from fleet.errors import LinkLost, NotReady, TimedOut
 from fleet.ssh import channel, connect
 from fleet.ssh.session import Result
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from fleet.ssh.session import Session
+    from fleet.ssh.session import Session, Stream
     from tests.support.sshd import Sshd, Sshds
 
 WORDS = st.one_of(
@@ -169,3 +169,37 @@ def test_a_command_hears_that_somebody_listens(session: Session, monkeypatch: py
     monkeypatch.setattr(channel, "BEAT", 0.2)
     assert session.run(("timeout", "5", "head", "-c", "3"), feed=None).output == "..."
     assert session.run(("timeout", "5", "head", "-c", "3"), feed=()).output == ""
+
+
+def test_a_connection_that_is_made_on_the_robot_arrives_here(session: Session) -> None:
+    """As many as are made, while a command runs; afterwards the port is closed."""
+
+    def shout(stream: Stream) -> None:
+        stream.sendall(stream.recv(100).upper())
+
+    with session.forwarded(shout) as port:
+        script = f"exec 3<>/dev/tcp/127.0.0.1/{port} && echo hello >&3 && head -n 1 <&3"
+        for _ in range(2):
+            assert session.run(("bash", "-c", script)).output == "HELLO\n"
+    assert session.run(("bash", "-c", script)).code != 0
+
+
+def test_an_sshd_that_forwards_no_ports_says_so(sshds: Sshds) -> None:
+    """With the line of its configuration that would allow it."""
+    strict = sshds.start("strict", options=("AllowTcpForwarding no",))
+    with connect.connect(strict.robot(), link_timeout=5, config=sshds.config) as connected:
+        with pytest.raises(NotReady, match="forwards no ports") as refused, connected.forwarded(print):
+            pass
+        assert "AllowTcpForwarding yes" in refused.value.cure
+        assert connected.run(("echo", "on")).output == "on\n"
+
+
+def test_a_frozen_robot_forwards_nothing_and_is_noticed(sshds: Sshds, sshd: Sshd) -> None:
+    """As with a command."""
+    with connect.connect(sshd.robot(), link_timeout=1, config=sshds.config) as connected:
+        sshd.signal(signal.SIGSTOP)
+        try:
+            with pytest.raises(LinkLost), connected.forwarded(print):
+                pass
+        finally:
+            sshd.signal(signal.SIGCONT)

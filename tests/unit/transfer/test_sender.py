@@ -5,22 +5,27 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from fleet.config.registry import Registry
+from fleet.errors import NotReady
 from fleet.images.store import Store
 from fleet.plan.delivery import Delivery
-from fleet.plan.step import Bytes, ImageArchive, UploadBatch
+from fleet.plan.step import Bytes, ImageArchive, Pull, UploadBatch
 from fleet.robot.image_store import ImageStore
 from fleet.transfer import delivery
 from fleet.transfer.layer_cache import LayerCache
+from fleet.transfer.pull_server import PullFeed, PullServer
 from fleet.transfer.rate_limit import RateLimiter
 from fleet.transfer.sender import Sender
 from fleet.transfer.upload_server import UploadServer
 from tests.support.handmade import Engine, Handmade, digest, layer, packed
+from tests.support.registry import TestRegistry
 from tests.support.samples import PI, change, facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
+    from fleet.config.inventory import Robot
     from fleet.images.image import Image
     from fleet.robot.facts import Facts
     from fleet.transfer.delivery import Strategy
@@ -52,6 +57,10 @@ class Desk:
     def _open(self, local: str, reference: str) -> Iterable[bytes]:
         self.opened.append((local, reference))
         return [b"opened"]
+
+    def deliver_to(self, to: Robot, *images: Handmade) -> Delivery:
+        wanted = [one.image for one in images]
+        return self.sender.deliver(wanted, robot=to, facts=robot(), strategy="patches")
 
     def deliver(
         self, *images: Handmade, seen: Facts | None = None, strategy: Strategy = "missing layers"
@@ -173,6 +182,34 @@ def test_a_batch_is_served_and_the_rate_is_recorded(desk: Desk) -> None:
     server.sent, server.seconds = 2_000_000, 2.0
     server.close()
     assert json.loads(desk.rates.read_text()) == {PI.address: 1_000_000}
+
+
+def test_a_robot_may_pull(desk: Desk) -> None:
+    """From this computer all layers are packed, and a feed serves them; whatever the strategy."""
+    pulls = PI.model_copy(update={"transport": "registry"})
+    plan = desk.sender.deliver([TALKER.image], robot=pulls, facts=robot(), strategy="all layers")
+    feed = plan.steps[0].feed
+    assert isinstance(feed, Pull)
+    assert [blob.digest for blob in feed.images[0].blobs] == packs(BASE, CODE)
+    assert isinstance(desk.sender.open(feed), PullServer)
+
+
+def test_a_registry_gets_what_it_lacks_before_a_robot_pulls(desk: Desk) -> None:
+    """Planning only asks it; the push is a part of the step. A registry that is down is one robot's failure."""
+    with TestRegistry() as there:
+        registry = Registry(address=f"127.0.0.1:{there.port}/robots")
+        pulls = PI.model_copy(update={"transport": "registry", "registry": registry})
+        plan = desk.sender.deliver([TALKER.image], robot=pulls, facts=robot(), strategy="patches")
+        assert "this computer first pushes" in plan.forecast
+        assert there.blobs == {}
+        feed = plan.steps[0].feed
+        assert isinstance(feed, Pull)
+        opened = desk.sender.open(feed)
+        assert isinstance(opened, PullFeed)
+        assert (opened.address, isinstance(opened, PullServer)) == (registry.host, False)
+        assert set(packs(BASE, CODE)) < set(there.blobs)
+    with pytest.raises(NotReady, match="cannot be reached"):
+        desk.deliver_to(pulls, CAMERA)
 
 
 def test_whole_images_are_read_out_of_docker(desk: Desk) -> None:
