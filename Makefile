@@ -7,7 +7,7 @@ PIS := pi1,pi2,pi3
 # How often `make test-faults` injects each fault.
 FAULTS := 50
 # Tests side by side: they mostly wait. Those on virtual Pis need a lab of three for each worker.
-JOBS := 2
+JOBS := 3
 PURE_JOBS := 3
 PIP := $(VENV)/bin/pip --disable-pip-version-check install
 PIP_LOG := $(VENV)/pip.log
