@@ -29,8 +29,8 @@ def everything(pi: Pi) -> list[str]:
     return pi.exec("sh", "-c", EVERYTHING).splitlines()
 
 
-def here(project: Project) -> tuple[str, dict[str, bytes]]:
-    """What a verb could change on the desktop."""
+def here(project: Project) -> tuple[list[str], dict[str, bytes]]:
+    """What a verb could change on the desktop. Docker lists the names of one image in any order."""
     listing = (
         "docker",
         "image",
@@ -49,7 +49,7 @@ def here(project: Project) -> tuple[str, dict[str, bytes]]:
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    return images, files
+    return sorted(images.splitlines()), files
 
 
 @pytest.fixture(scope="module")
