@@ -116,6 +116,7 @@ missing() {
     [ -z "$for_tests" ] || have fusefat || ! known_to_apt fusefat || echo fusefat
     # The one program of the tests' images: they have no libraries.
     [ -z "$for_tests" ] || static_busybox || echo busybox-static
+    [ -z "$for_tests" ] || have openssl || echo openssl
 }
 
 # Tests start SSH servers of their own, as programs; nobody's computer begins to let people in because of that.
