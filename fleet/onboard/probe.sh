@@ -283,14 +283,15 @@ if [ "${1-}" = images ]; then
     grep -H '"image":' "$HOME"/.fleet/stacks/*/releases/*/compose.yaml \
         "$HOME"/.fleet/stacks/*/releases/*/compose.override.yaml \
         "$HOME"/.fleet/releases/*/compose.override.yaml 2>/dev/null
-    # What interrupted commands have left. Whoever is at work has touched his files within the hour; a piece of an upload
-    # waits a day for the next attempt. What was moved aside (*.replaced.*) may be somebody's.
+    # What interrupted commands have left. Whoever is at work has touched his files within the hour; a piece of an upload,
+    # or a pull, waits a day for the next attempt. What was moved aside (*.replaced.*) may be somebody's.
     section leftovers
     (
         cd "$HOME/.fleet" 2>/dev/null || exit
         find stacks/*/releases -mindepth 1 -maxdepth 1 -name '*.part' ! -name '*.replaced.*' -mmin +60
         find receipts -mindepth 1 -mmin +60 \( -size 0 -o -name '*.new' -o -name new \)
         find spool -mindepth 1 -type f ! -name lock ! -name holder -mmin +1440
+        find pulled -mindepth 1 -type f \( -name references -o -name '*.new' \) -mmin +1440
         [ ! -e spool/lock ] || ! flock -n spool/lock true || docker image ls --format '{{.Repository}}:{{.Tag}}' fleet/incoming
     ) 2>/dev/null
     section tools

@@ -11,7 +11,11 @@ for name in "$@"; do
     case $name in
         *..*) ;;
         fleet/incoming:*) docker image rm "$name" >/dev/null ;;
-        spool/* | receipts/*) rm -f "$name" ;;
+        pulled/references) # names by which Docker pulled: what they name stays if it has another one
+            grep '@sha256:' "$name" | while read -r image; do docker image rm "$image" >/dev/null 2>&1 </dev/null; done
+            rm -f "$name"
+            ;;
+        spool/* | receipts/* | pulled/*.new) rm -f "$name" ;;
         stacks/*/releases/*.part) rm -rf "$name" ;;
     esac
 done

@@ -56,8 +56,7 @@ class Sender:
     """The transfers of one run of `fab ship`.
 
     ``archive`` reads an image out of Docker, as `fleet.images.store.Store.archive` does. ``logins`` finds the login of a
-    registry. ``rates`` is the file with the
-    measured rates of links; it may be removed at any time.
+    registry. ``rates`` is the file with the measured rates of links; it may be removed at any time.
     """
 
     def __init__(

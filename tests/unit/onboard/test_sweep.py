@@ -14,9 +14,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 OLD = 2 * 86400
-LEFT = ("receipts/aa", "receipts/new", "spool/11", "stacks/nav/releases/abc.7.part/x")
+LEFT = (
+    *("receipts/aa", "receipts/new", "spool/11", "stacks/nav/releases/abc.7.part/x"),
+    *("pulled/references", "pulled/cc.new"),
+)
 KEPT = (
-    *("receipts/bb", "spool/lock", "spool/holder", "stacks/nav/data/x.part", "stacks/nav/releases/abc/x"),
+    *(
+        "receipts/bb",
+        "pulled/cc",
+        "spool/lock",
+        "spool/holder",
+        "stacks/nav/data/x.part",
+        "stacks/nav/releases/abc/x",
+    ),
     "stacks/nav/releases/abc.replaced.7.part/x",
 )
 
@@ -60,10 +70,30 @@ def files(folder: Path) -> set[str]:
 def test_what_is_left_is_listed_and_removed(fleet: Path) -> None:
     """And nothing else: data, releases, and what was moved aside stay."""
     names = leftovers(fleet)
-    assert sorted(names) == ["receipts/aa", "receipts/new", "spool/11", "stacks/nav/releases/abc.7.part"]
+    assert sorted(names) == [
+        *("pulled/cc.new", "pulled/references", "receipts/aa", "receipts/new"),
+        *("spool/11", "stacks/nav/releases/abc.7.part"),
+    ]
     sweep(fleet, *names)
     assert files(fleet) == set(KEPT)
     assert leftovers(fleet) == ()
+
+
+def test_names_of_a_pull_that_nobody_goes_on_with(fleet: Path) -> None:
+    """Docker would keep the image for their sake, although no release has it any more."""
+    docker = fleet.parent / "bin" / "docker"
+    docker.parent.mkdir()
+    docker.write_text('#!/bin/sh\necho "$@" >> "$HOME/calls"\n')
+    docker.chmod(0o755)
+    (fleet / "pulled/references").write_text("127.0.0.1:4/a@sha256:11\nsomebodys:1\nreg/b@sha256:22\n")
+    path = f"{docker.parent}:{os.environ['PATH']}"
+    argv = ("sh", "-c", onboard.text("sweep.sh"), "sweep", "pulled/references")
+    subprocess.run(argv, env={"HOME": str(fleet.parent), "PATH": path}, check=True)
+    assert (fleet.parent / "calls").read_text().splitlines() == [
+        "image rm 127.0.0.1:4/a@sha256:11",
+        "image rm reg/b@sha256:22",
+    ]
+    assert "pulled/references" not in files(fleet)
 
 
 def test_what_is_young_is_somebodys_work(fleet: Path) -> None:
