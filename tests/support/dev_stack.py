@@ -102,10 +102,10 @@ class DevStack:
         if copied.returncode:
             return None
         with tarfile.open(fileobj=io.BytesIO(copied.stdout)) as archive:
+            # Docker ends the archive with nothing in it when the file goes between its look and its copy.
             member = archive.next()
-            assert member
-            content = archive.extractfile(member)
-            return content.read().decode() if content else ""
+            content = archive.extractfile(member) if member else None
+            return content.read().decode() if content else None
 
     def logs(self) -> str:
         return subprocess.run(
