@@ -8,7 +8,7 @@ PIS := pi1,pi2,pi3
 FAULTS := 50
 # Tests side by side: they mostly wait. Those on virtual Pis need a lab of three for each worker.
 JOBS := 3
-PURE_JOBS := 3
+PURE_JOBS := 4
 PIP := $(VENV)/bin/pip --disable-pip-version-check install
 PIP_LOG := $(VENV)/pip.log
 PYTEST = $(VENV)/bin/pytest --numprocesses $(JOBS)

@@ -97,8 +97,10 @@ def opened(files: Sequence[Path]) -> Generator[Project]:
         above.mkdir(parents=True)
         folder = above / _link_name(real.name)
         folder.symlink_to(real, target_is_directory=True)
-        _show_parents(real, above)
-        yield Project(files=tuple(files), real=real, folder=folder)
+        project = Project(files=tuple(files), real=real, folder=folder)
+        if _looks_outside(project):
+            _show_parents(project)
+        yield project
 
 
 def _link_name(name: str) -> str:
@@ -106,9 +108,22 @@ def _link_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]", "", name) or "_"
 
 
-def _show_parents(real: Path, above: Path) -> None:
-    """Link what lies beside and above the project's folder, so that ``../common.yaml`` is found."""
-    for parent, shown in zip(real.parents, (above, *above.parents)[:LEVELS], strict=False):
+def _looks_outside(project: Project) -> bool:
+    """Whether Compose may have to read a file beside or above the project's folder: ``extends: {file: ../common.yaml}``.
+
+    Files that these include are not read here, so any of them may.
+    """
+    if any(_in_folder(path).parent != project.real for path in project.files):
+        return True
+    written = (*sources(project), project.real / ".env")
+    texts = [path.read_bytes() for path in written if path.is_file()]
+    return any(re.search(rb"\.\.|\b(include|extends|COMPOSE_FILE)\b", text) for text in texts)
+
+
+def _show_parents(project: Project) -> None:
+    """Link what lies beside and above the project's folder, so that ``../common.yaml`` is found. Home folders have much."""
+    above = project.folder.parent
+    for parent, shown in zip(project.real.parents, (above, *above.parents)[:LEVELS], strict=False):
         with contextlib.suppress(OSError):
             for entry in os.scandir(parent):
                 with contextlib.suppress(FileExistsError):
@@ -194,6 +209,8 @@ def _run(
     project: Project, arguments: tuple[str, ...], environment: Mapping[str, str], *, asks: str = ""
 ) -> subprocess.CompletedProcess[str]:
     """Run Compose on the project's files, or on ``asks``, a Compose file of our own in its folder."""
+    if any(".." in value or name == "COMPOSE_FILE" for name, value in environment.items()):
+        _show_parents(project)
     try:
         return subprocess.run(
             (*program(), *(() if asks else _files(project)), *arguments),

@@ -26,7 +26,7 @@ from fleet.errors import (
 from fleet.plan.outcome import Outcome
 from fleet.rollout import sighting
 from fleet.rollout.pool import each
-from fleet.ssh import mdns, neighbours
+from fleet.ssh import neighbours
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -91,6 +91,8 @@ def elsewhere(robot: Robot, *, name: str, scan: bool = False) -> Sighting | None
 
 
 def _named(name: str) -> tuple[str, ...]:
+    from fleet.ssh import mdns  # noqa: PLC0415  zeroconf is a tenth of all imports, and most verbs do without
+
     try:
         return mdns.addresses(name) if name else ()
     except DesktopError:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from fleet.errors import DesktopError, FleetError
-from fleet.ssh import connect, known_hosts, mdns, neighbours, openssh_config
+from fleet.ssh import connect, known_hosts, neighbours, openssh_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -144,6 +144,8 @@ def candidates(
     ``also`` are further places to look at. Neighbours are asked at port 22 and at ``ports``. ``on_problem`` gets the reason
     if nobody can be asked who announces itself; the others are looked at nevertheless.
     """
+    from fleet.ssh import mdns  # noqa: PLC0415  zeroconf is a tenth of all imports, and most verbs do without
+
     announced: tuple[Announced, ...] = ()
     try:
         announced = mdns.browse(seconds=seconds)

@@ -92,6 +92,35 @@ def test_what_lies_beside_the_folder_is_found(tmp_path: Path) -> None:
     assert found["volumes"][0]["source"].endswith("/up/shared/m")
 
 
+@pytest.mark.parametrize(
+    ("files", "environment"),
+    [
+        ({"compose.yaml": ONE + "    env_file: ../shared/e.env\n"}, {}),
+        ({"compose.yaml": ONE + "    env_file: $WHERE/e.env\n"}, {"WHERE": "../shared"}),
+        ({"compose.yaml": ONE + "    env_file: $WHERE/e.env\n", ".env": "WHERE=../shared"}, {}),
+        (
+            {"compose.yaml": ONE, "compose.override.yaml": "services: {a: {env_file: ../shared/e.env}}"},
+            {},
+        ),
+        (
+            {"compose.yaml": "include: [more.yaml]\n", "more.yaml": ONE + "    env_file: ../shared/e.env\n"},
+            {},
+        ),
+        ({"compose.yaml": "", ".env": "COMPOSE_FILE=../shared/all.yaml"}, {}),
+        ({"compose.yaml": ""}, {"COMPOSE_FILE": "../shared/all.yaml"}),
+    ],
+    ids=str,
+)
+def test_whoever_names_what_lies_beside(
+    files: Mapping[str, str], environment: Mapping[str, str], tmp_path: Path
+) -> None:
+    """The file, a variable of it, the override, an included file, and the list of files itself."""
+    write(tmp_path / "shared", {"e.env": "Q=1\n", "all.yaml": ONE + "    env_file: ../shared/e.env\n"})
+    write(tmp_path / "robot", files)
+    found = resolved(tmp_path / "robot", environment).model["services"]["a"]
+    assert found["environment"] == {"Q": "1"}
+
+
 def test_a_second_file_beside_the_folder(tmp_path: Path) -> None:
     """A list in the inventory may name one of another folder."""
     write(tmp_path, {"robot/compose.yaml": ONE, "shared/more.yaml": "services: {a: {user: '7'}}"})

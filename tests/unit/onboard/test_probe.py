@@ -382,10 +382,9 @@ def programs(tmp_path: Path) -> Path:
     path.mkdir()
     image = f"sha256:{hashlib.sha256(MANIFEST.encode()).hexdigest()}"
     docker = f"""case "$*" in
-        'image ls -aq'*) echo {image}; echo {image} ;;
-        'image ls'*incoming*) echo fleet/incoming:0123 ;;
-        'image ls'*Size*) echo 'talker:fleet-1 241MB' ;;
-        'image ls'*) echo talker:fleet-1 {image} && echo talker:fleet-0123456789ab {image} ;;
+        'image ls'*)
+            echo talker:fleet-1 {image} 241MB && echo talker:fleet-0123456789ab {image} 241MB
+            echo fleet/incoming:0123 {image} 241MB ;;
         *json*' {image}') echo '{image} ["a","b"]' ;;
         esac"""
     for name, script in (("docker", docker), ("zstd", ""), ("python3", "")):
@@ -422,7 +421,7 @@ def test_the_probe_of_a_robot_that_was_shipped_to(shell: str, quoted_home: Path,
         manifests=(tuple(blobs),),
         spool={DIGEST: 5},
         pins={"nav/abc": ("talker:fleet-1",), "/old": ("talker:fleet-0",)},
-        sizes={"talker:fleet-1": 241_000_000},
+        sizes={"talker:fleet-1": 241_000_000, "talker:fleet-0123456789ab": 241_000_000},
         leftovers=("fleet/incoming:0123",),
         zstd=True,
         python=True,
