@@ -71,6 +71,17 @@ def fragments(writer: bytes, number: int, payload: bytes, size: int) -> list[byt
     ]  # fmt: skip
 
 
+def asks(raw: bytes, writer: bytes) -> bool:
+    """Whether a datagram has an acknack to ``writer`` that wants an answer: one that is not final (RTPS 2.5, 9.4.5.3)."""
+    at = 20
+    while at + 4 <= len(raw):
+        kind, flags, length = struct.unpack_from("<BBH", raw, at)
+        if kind == 0x06 and not flags & 2 and raw[at + 8 : at + 12] == writer:
+            return True
+        at += 4 + length
+    return False
+
+
 def heartbeat(writer: bytes, first: int, last: int, *, final: bool = False) -> bytes:
     return submessage(
         0x07, bytes(4) + writer + struct.pack("<iIiII", 0, first, 0, last, 1), 3 if final else 1
@@ -149,7 +160,7 @@ class Peer:
             )
         if not self.answers:
             return
-        if PUBLICATIONS in raw:  # an acknack
+        if asks(raw, PUBLICATIONS):
             found = publication(self.prefix, 1, f"rt{self.topic}", self.kind)
             send(datagram(self.prefix, found, heartbeat(PUBLICATIONS, 1, 1)), source)
         if SUBSCRIPTIONS in raw and self.accepts:
