@@ -64,7 +64,10 @@ def own_docker(programs: Path) -> None:
     docker = programs / "docker"
     if (real := shutil.which("docker")) and not docker.exists():
         docker.write_text(
-            f'#!/bin/sh\ncase "$*" in "ps "*label=fleet.release*) exit ;; esac\nexec {real} "$@"\n'
+            f"""#!/bin/sh
+case "$*" in "ps "*'.Label "fleet.release"'*) {real} "$@" | sed 's/|[^|]*|/||/' && exit ;; esac
+exec {real} "$@"
+"""
         )
         docker.chmod(0o755)
 

@@ -18,7 +18,6 @@ from fleet.images.layer import Blob
 from fleet.robot.facts import Dev
 from fleet.robot.image_store import ImageStore
 from fleet.robot.probe import MARK, command, parse
-from tests.support.homes import own_docker
 from tests.support.robot_shell import EACH_SHELL, SHELLS
 
 if TYPE_CHECKING:
@@ -49,11 +48,11 @@ def ran(home: Path, shell: str = "sh", path: str = "") -> subprocess.CompletedPr
 
 
 def probed(home: Path, shell: str = "sh", path: str = "") -> str:
-    """What the probe says on this computer, but for the stacks of other tests."""
+    """What the probe says on this computer, but for its Docker."""
     if not path:
         hidden = home.with_name(f"{home.name}-hidden")
         hidden.mkdir(exist_ok=True)
-        own_docker(hidden)
+        program(hidden, "docker", "exit 1")
         path = f"{hidden}:{os.environ['PATH']}"
     return ran(home, shell, path).stdout
 
@@ -180,7 +179,7 @@ def test_the_probe_looks_and_never_touches(tmp_path: Path) -> None:
 
 
 def test_the_probe_is_quick(tmp_path: Path) -> None:
-    """`fab status` is one probe: it costs less than a second of a processor, also here beside other work."""
+    """`fab status` is one probe: beside Docker it costs less than half a second of a processor."""
 
     def spent() -> float:
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -191,7 +190,7 @@ def test_the_probe_is_quick(tmp_path: Path) -> None:
         before = spent()
         probed(tmp_path)
         costs.append(spent() - before)
-    assert min(costs) < 1.0
+    assert min(costs) < 0.5
 
 
 def test_a_robot_without_docker_and_sudo(tmp_path: Path, bare_path: Path) -> None:
