@@ -51,9 +51,10 @@ sys.addaudithook(_guard)
 
 
 def pytest_configure() -> None:
-    """Restore Ctrl-C. A shell that starts `make test &` has it ignored, and tests send it to programs."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Restore the signals that tests send to programs: `make test &` has Ctrl-C ignored, `nohup make test` a hang-up."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, usual)
 
 
 @pytest.hookimpl(tryfirst=True)

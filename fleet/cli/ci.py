@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 from fleet.cli.console import Screen
 from fleet.cli.selection import select
 from fleet.cli.verb import verb
+from fleet.config import validation
 from fleet.errors import DesktopError, UsageError
 from fleet.starter import ci
 
@@ -20,19 +22,27 @@ WORKFLOW = Path(".github/workflows/robots.yml")
 _INSTALL = "what pip installs fleet from in CI: a git address with a commit, or a wheel in your repository"
 
 
-@verb({"install": _INSTALL, "branch": "the branch whose bundles are kept; default: main"})
-def github(
-    install: str = "", branch: str = "main", hosts: str = "all", dry: bool = False, inventory: str = ""
-) -> None:
-    """Write a GitHub workflow that builds and keeps a bundle.
+_TO = "push the images to this registry, such as ghcr.io/OWNER/robots, in place of a bundle"
 
-    Each push to the branch is built on GitHub's computers, by the commands of `fab ci.shell`, and kept as an artifact for
-    7 days: `gh run download --name bundle`, then `fab ship --from bundle.tar` ships it, without building here. Pull
-    requests are built only. A workflow that you have changed is not overwritten. --dry prints it.
+
+@verb({"install": _INSTALL, "to": _TO, "branch": "the branch that is published; default: main"})
+def github(
+    install: str = "",
+    to: str = "",
+    branch: str = "main",
+    hosts: str = "all",
+    dry: bool = False,
+    inventory: str = "",
+) -> None:
+    """Write a GitHub workflow that builds the images and keeps them.
+
+    Each push to the branch is built on GitHub's computers, by the commands of `fab ci.shell`, and kept: as a bundle for 7
+    days, or with --to in a registry. `fab ship --from` ships either, without building here. Pull requests are built only.
+    A workflow that you have changed is not overwritten. --dry prints it.
     """
     screen, (found, robots) = Screen(), select(inventory, hosts)
     root = _repository(found.path)
-    wanted = _wanted(found, robots, hosts=hosts, install=install, root=root)
+    wanted = _wanted(found, robots, hosts=hosts, install=install, to=to, root=root)
     text, path = ci.github(wanted, branch=branch), root / WORKFLOW
     if dry:
         sys.stdout.write(text)
@@ -42,16 +52,16 @@ def github(
         screen.say(note)
 
 
-@verb({"install": _INSTALL}, looks=True)
-def shell(install: str = "", hosts: str = "all", inventory: str = "") -> None:
-    """Print a script for any CI that writes a bundle.
+@verb({"install": _INSTALL, "to": _TO}, looks=True)
+def shell(install: str = "", to: str = "", hosts: str = "all", inventory: str = "") -> None:
+    """Print a script for any CI that builds the images and keeps them.
 
-    `fab ci.shell > build.sh`: it checks the inventory, builds the images, and writes bundle.tar. `fab ship --from
-    bundle.tar` ships it, on any computer that has the inventory.
+    `fab ci.shell > build.sh`: it checks the inventory, builds the images, and writes bundle.tar, or with --to pushes them to
+    a registry. `fab ship --from` ships either, on any computer that has the inventory.
     """
     found, robots = select(inventory, hosts)
     root = _repository(found.path)
-    sys.stdout.write(ci.shell(_wanted(found, robots, hosts=hosts, install=install, root=root)))
+    sys.stdout.write(ci.shell(_wanted(found, robots, hosts=hosts, install=install, to=to, root=root)))
 
 
 def _repository(inventory: Path) -> Path:
@@ -61,8 +71,10 @@ def _repository(inventory: Path) -> Path:
 
 
 def _wanted(
-    inventory: Inventory, robots: tuple[Robot, ...], *, hosts: str, install: str, root: Path
+    inventory: Inventory, robots: tuple[Robot, ...], *, hosts: str, install: str, to: str, root: Path
 ) -> ci.Wanted:
+    if to and not re.search(validation.REGISTRY, to):
+        raise UsageError(f"--to {validation.not_like(validation.REGISTRY, to)}, not {to}")
     folder = inventory.path.resolve().parent
     if not install and not (folder / "fleet" / "onboard").is_dir():
         raise UsageError(
@@ -76,6 +88,7 @@ def _wanted(
         install=install,
         variables=tuple(names),
         folder="" if folder == root else folder.relative_to(root).as_posix(),
+        to=to,
     )
 
 
@@ -98,10 +111,16 @@ def _write(path: Path, text: str) -> str:
 
 
 def _notes(wanted: ci.Wanted) -> list[str]:
-    secrets = [f"set these secrets in the repository on GitHub: {', '.join(wanted.variables)}"]
+    names = [*wanted.variables, *ci.login_secrets(wanted)]
+    secrets = [f"set these secrets in the repository on GitHub: {', '.join(names)}"] if names else []
+    if wanted.to:
+        return [
+            *secrets,
+            "next: push it; its log has the images' names, for fleet ship --from NAME@sha256:...",
+        ]
     return [
         "note: a bundle holds the robots' settings and secrets in plain text; who may read the repository can download it",
-        *(secrets if wanted.variables else []),
+        *secrets,
         f"next: push it; then gh run download --name bundle, and fleet ship --from {ci.BUNDLE}",
     ]
 

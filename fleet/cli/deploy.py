@@ -99,7 +99,7 @@ def provision(hosts: str = "all", dry: bool = False, json: bool = False, invento
         "wait": "seconds that containers may take to become healthy; default: 180 plus the longest start_period",
         "prefer": "whose version of a file wins that robot and desktop have both changed: robot or desktop",
         "renamed": "the robots were renamed in the inventory: go on though they were shipped under another name",
-        "from": "ship what a bundle holds, a folder or a tar archive of `fab bundle`, and build nothing here",
+        "from": "ship what CI built: a bundle (folder or tar archive), or images of a registry, NAME@sha256:... (commas)",
     }
 )
 def ship(
@@ -129,7 +129,7 @@ def ship(
     )
     limiter = RateLimiter(bytes_per_second(limit))
     with (
-        wanted.opened(robots, out_of=from_, only=stack, screen=screen) as (source, releases),
+        wanted.opened(robots, out_of=from_, only=stack, screen=screen, dry=dry) as (source, releases),
         Sender.using(source, limiter=limiter, by=whoami(), logins=login_of) as sender,
     ):
         planner = Planner(releases, sender, options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from fleet.config import compose, docker_rules, project_files, stack
@@ -48,6 +48,14 @@ class RobotStack:
     def wait(self) -> int:
         """Seconds in which its containers must become healthy."""
         return self.spec.wait or HEALTHY_WITHIN + round(self.stack.start_period)
+
+    def with_images(self, others: Mapping[str, str]) -> RobotStack:
+        """The same with ``others`` in place of the images that the Compose files name."""
+        services = {
+            name: replace(service, image=others.get(service.image, service.image))
+            for name, service in self.stack.services.items()
+        }
+        return replace(self, stack=replace(self.stack, services=services))
 
 
 class Stacks:

@@ -32,6 +32,12 @@ def tag(reference: str) -> str:
     return reference.partition("@")[0][len(repository(reference)) + 1 :] or "latest"
 
 
+def path(reference: str) -> str:
+    """The path of an image in a registry: its name without the registry that it came from."""
+    host, slash, rest = repository(reference).partition("/")
+    return rest if slash and ("." in host or ":" in host or host == "localhost") else repository(reference)
+
+
 def one_image(reference: str) -> str:
     """The reference with its tag or digest: ``talker`` alone means all tags of it to ``docker save``."""
     return reference if "@" in reference else f"{repository(reference)}:{tag(reference)}"

@@ -37,6 +37,7 @@ class Command:
 
     ``feed`` is its standard input: a Dockerfile that is written in the Compose file. ``pulls`` is the image that it asks
     a registry for. If no registry answers, the one that is here will do; with ``only_missing``, none is asked then.
+    Commands of one ``turn`` do not run side by side: all platforms of an image that is pulled have its name in turn.
     """
 
     title: str
@@ -47,6 +48,7 @@ class Command:
     feed: str = ""
     pulls: str = ""
     only_missing: bool = False
+    turn: str = ""
 
 
 def bases(project: Project, platform: str) -> dict[str, Base]:
@@ -243,9 +245,12 @@ def _is_file(path: str) -> bool:
         return False
 
 
-def pull(image: str, platform: str, *, policy: str) -> list[Command]:
-    """What brings an image here; ``policy`` is Compose's ``pull_policy``, of which "" here means to look for a newer one."""
-    reference = tagged_for(image, platform)
+def pull(image: str, platform: str, *, policy: str, called: str = "") -> list[Command]:
+    """What brings an image here, and gives it the name of `tagged_for`, or that of the image that is ``called`` so.
+
+    ``policy`` is Compose's ``pull_policy``, of which "" here means to look for a newer one.
+    """
+    reference = tagged_for(called or image, platform)
     pull = Command(
         title=f"pull {image} for {platform}",
         argv=("docker", "pull", "--platform", platform, image),
@@ -253,11 +258,13 @@ def pull(image: str, platform: str, *, policy: str) -> list[Command]:
         platform=platform,
         pulls=image,
         only_missing=policy in ("missing", "if_not_present", "build"),
+        turn=image,
     )
     tag = Command(
         title=f"tag {reference}",
         argv=("docker", "tag", image, reference),
         reference=reference,
         platform=platform,
+        turn=image,
     )
     return [tag] if policy == "never" else [pull, tag]

@@ -73,37 +73,40 @@ def run_all(
     """
     for base in dict.fromkeys(base for command in commands for base in command.bases):
         debian_base.ensure(base.suite, base.platform, say=partial(watcher.note, base.tag))
-    images: dict[str, list[Command]] = {}
+    turns: dict[str, list[Command]] = {}
     for command in commands:
-        images.setdefault(command.reference, []).append(command)
+        turns.setdefault(command.turn or command.reference, []).append(command)
     failed = threading.Event()
 
-    def make(image: Sequence[Command]) -> None:
-        for command in image:
+    def make(turn: Sequence[Command]) -> None:
+        named = set[str]()
+        for command in turn:
             if failed.is_set():
                 return
+            if command.reference in named:
+                continue  # it has its name already
             try:
                 there = _run_or_use(command, watcher=watcher, folder=folder)
             except BaseException:
                 failed.set()
                 raise
             if there == command.reference:
-                return  # it has its name already
+                named.add(there)
 
-    with ThreadPoolExecutor(at_once(len(images), memory=memory)) as pool:
-        for work in [pool.submit(make, image) for image in images.values()]:
+    with ThreadPoolExecutor(at_once(len(turns), memory=memory)) as pool:
+        for work in [pool.submit(make, turn) for turn in turns.values()]:
             work.result()
 
 
 def _run_or_use(command: Command, *, watcher: Watcher, folder: Path | None) -> str:
     """Run a command. If it was to pull an image, and one that is here does instead, return that one's name."""
-    there = _here(command) if command.only_missing else None
+    there = here(command) if command.only_missing else None
     if there:
         return there.name
     try:
         built = run(command, on_step=partial(watcher.step, command.reference), folder=folder)
     except DesktopError as problem:
-        there = _here(command)
+        there = here(command)
         if not there:
             raise
         why = " ".join(problem.what.split())
@@ -197,19 +200,19 @@ def _failure(command: Command, said: BuildLog, *, code: int, log: Path) -> Deskt
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Here:
+class Here:
     """An image that Docker has: one of its names, and the day on which it was made."""
 
     name: str
     created: str
 
 
-def _here(command: Command) -> _Here | None:
-    """The image that a pull asks for, if one for its platform is here: by its own name, or by the one of an earlier pull."""
+def here(command: Command) -> Here | None:
+    """Return the image that a pull asks for, if one for its platform is here: by its own name, or by the one of an earlier pull."""
     form = "{{.Os}} {{.Architecture}} {{.Variant}} {{.Created}}"
     for name in (command.pulls, command.reference):
         answer = docker_or_none("image", "inspect", "--format", form, name) if command.pulls else None
         os_, architecture, variant, created = (answer or "   ").split(" ")
         if answer and platform(os=os_, architecture=architecture, variant=variant) == command.platform:
-            return _Here(name=name, created=created[:10])
+            return Here(name=name, created=created[:10])
     return None

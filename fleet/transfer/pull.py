@@ -12,7 +12,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from fleet import onboard
-from fleet.config.image_reference import repository
+from fleet.config.image_reference import path
 from fleet.images.layer import common_prefix
 from fleet.plan.delivery import Delivery
 from fleet.plan.step import Pull, Pulled, Step
@@ -95,12 +95,6 @@ def described(
         config=target.config,
         blobs=tuple(blobs[diff_id] for diff_id in target.diff_ids),
     )
-
-
-def path(reference: str) -> str:
-    """The path of an image in a registry: its name without the registry that it came from."""
-    host, slash, rest = repository(reference).partition("/")
-    return rest if slash and ("." in host or ":" in host or host == "localhost") else repository(reference)
 
 
 def _lacks(image: Pulled, facts: Facts) -> Iterator[Blob]:

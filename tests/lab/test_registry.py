@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -61,14 +62,30 @@ class Site:
     folder: Path
     process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> None:
+    def start(self, config: Path | None = None) -> None:
         log: IO[bytes] = (self.folder / "log").open("ab")
         with log:
             environment = {**os.environ, "OTEL_TRACES_EXPORTER": "none"}
-            argv = (_program(), "serve", str(self.folder / "config.yml"))
+            argv = (_program(), "serve", str(config or self.folder / "config.yml"))
             self.process = subprocess.Popen(argv, env=environment, stdout=log, stderr=log)
         host, _, port = self.address.partition(":")
         assert eventually(lambda: _listens(host, int(port))), (self.folder / "log").read_text()
+
+    @contextlib.contextmanager
+    def on_loopback(self) -> Iterator[str]:
+        """The same images without TLS, at an address that Docker takes without it."""
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            address = f"127.0.0.1:{free.getsockname()[1]}"
+        config = json.loads((self.folder / "config.yml").read_text())
+        path = self.folder / "loopback.yml"
+        path.write_text(json.dumps({**config, "http": {"addr": address}}))
+        other = Site(address=address, folder=self.folder)
+        other.start(path)
+        try:
+            yield address
+        finally:
+            other.stop()
 
     def stop(self) -> None:
         if self.process:
@@ -239,3 +256,26 @@ def test_others_pull_what_was_pushed(fleet: Project, site: Site) -> None:
     assert fleet.well("push", "--json").json == [{**pushed, "bytes": 0}]
     tls.exec("docker", "pull", "--quiet", pushed["image"])
     tls.exec("docker", "image", "rm", pushed["image"])
+
+
+def test_what_ci_has_pushed_is_shipped(fleet: Project, site: Site) -> None:
+    """By its digest, onto a computer that has not built it: all robots run one release, whichever way it came."""
+    plain, _, tls = fleet.lab.pis
+    code(fleet, "pushed")
+    (pushed,) = fleet.well("push", "--json").json
+    fleet.well("ship", "--hosts", tls.name)
+    forget(IMAGE)
+    with site.on_loopback() as address:
+        name = pushed["image"].replace(site.address, address)
+        refused = fleet.fab("ship", "--hosts", plain.name, "--from", name, "--dry")
+        assert (refused.code, "is not on this computer" in refused.err) == (2, True), refused
+        lost = fleet.fab("ship", "--hosts", plain.name, "--from", name[:-4] + "0000")
+        assert (lost.code, "docker pull" in lost.err or "pull" in lost.err) == (1, True), lost
+        shipped = fleet.well("ship", "--hosts", plain.name, "--from", name, "--json")
+        assert (shipped.status, shipped.json[0]["sent"] < 100_000) == ({plain.name: "done"}, True)
+        again = fleet.well("ship", "--hosts", f"{plain.name},{tls.name}", "--from", name, "--json")
+    assert set(again.status.values()) == {"unchanged"}
+    seen = came(fleet)
+    assert seen[plain.name] == (seen[tls.name][0], "ssh")
+    prove(plain)
+    subprocess.run(("docker", "image", "rm", name), capture_output=True, check=False)

@@ -51,6 +51,17 @@ def test_who_installs_fleet_must_be_said(mine: Project) -> None:
         assert (done.code, "--install git+https://" in done.err) == (2, True)
 
 
+def test_images_for_a_registry(mine: Project) -> None:
+    """Its secrets are named; what is no registry is refused."""
+    done = mine.fleet("ci.github", *WHEEL, "--to", "registry.local:5000/robots")
+    assert (
+        "set these secrets in the repository on GitHub: REGISTRY_USER, REGISTRY_TOKEN" in done.out + done.err
+    )
+    assert "a bundle holds" not in done.out + done.err
+    done = mine.fleet("ci.shell", *WHEEL, "--to", "https://registry.local")
+    assert (done.code, "--to must be a host" in done.err) == (2, True)
+
+
 def test_a_folder_that_cannot_be_written(mine: Project) -> None:
     """A file is where the folder must be."""
     (mine.folder.parent / ".github").write_text("")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -128,6 +129,25 @@ def test_commands_of_one_image_keep_their_order(tmp_path: Path) -> None:
     with pytest.raises(DesktopError, match="build it failed"):
         builder.run_all(fails, watcher=heard, memory=0, folder=tmp_path)
     assert heard.ended == ["a pull", "a name"]
+
+
+def test_platforms_of_one_image_are_pulled_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meanwhile its name is that of one platform: side by side, one of them would get the other's image."""
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    name, heard = tmp_path / "name", Heard()
+    commands = [
+        replace(one, turn="x")
+        for platform in ("armv7", "arm64", "amd64")
+        for one in (
+            command(f"x-{platform}", f"echo {platform} >{name}; sleep 0.1", title="pull x"),
+            command(f"x-{platform}", f"[ $(cat {name}) = {platform} ]", title="name it"),
+        )
+    ]
+    builder.run_all(commands, watcher=heard, memory=10**12, folder=tmp_path / "logs")
+    assert len(heard.ended) == 6
+    (first, _) = build.pull("redis:7", "linux/arm64", policy="")
+    (second, _) = build.pull("redis:7", "linux/arm/v7", policy="")
+    assert (first.turn, second.turn) == ("redis:7", "redis:7")
 
 
 def test_how_many_builds_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

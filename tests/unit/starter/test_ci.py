@@ -18,7 +18,8 @@ WANTED = ci.Wanted(hosts="all", platforms=["linux/arm64"], install="tools/fleet-
 
 def job(wanted: ci.Wanted) -> dict[str, object]:
     """The job of a workflow, as YAML reads it."""
-    made: dict[str, object] = yaml.safe_load(ci.github(wanted, branch="main"))["jobs"]["bundle"]
+    made: dict[str, object]
+    (made,) = yaml.safe_load(ci.github(wanted, branch="main"))["jobs"].values()
     return made
 
 
@@ -73,11 +74,50 @@ def test_variables_of_the_environment_are_secrets_of_the_repository() -> None:
     assert all(step["env"] == {"TOKEN": "${{ secrets.TOKEN }}"} for step in steps if "env" in step)
 
 
-def test_the_workflow_is_safe(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("to", "permissions", "user", "secrets"),
+    [
+        ("ghcr.io/me/robots", {"contents": "read", "packages": "write"}, "github.actor", ()),
+        (
+            "registry.local:5000/robots",
+            {"contents": "read"},
+            "secrets.REGISTRY_USER",
+            ("REGISTRY_USER", "REGISTRY_TOKEN"),
+        ),
+    ],
+)
+def test_images_go_to_a_registry(
+    to: str, permissions: dict[str, str], user: str, secrets: tuple[str, ...]
+) -> None:
+    """A pull request only builds; nobody is logged in for it."""
+    wanted = replace(WANTED, to=to, variables=["A"])
+    made = job(wanted)
+    steps = made["steps"]
+    assert isinstance(steps, list)
+    assert made["permissions"] == permissions
+    *_, build, login, push = steps
+    assert (build["run"], "if" in build) == ("fleet build", False)
+    assert login["run"].endswith(
+        f'| docker login --username "$REGISTRY_USER" --password-stdin {wanted.registry}'
+    )
+    assert user in login["env"]["REGISTRY_USER"]
+    assert push["run"] == f"fleet push --to {to}"
+    assert push["env"] == build["env"] == {"A": "${{ secrets.A }}"}
+    assert login["if"] == push["if"] == "github.event_name == 'push'"
+    assert ci.login_secrets(wanted) == secrets
+    script = ci.shell(wanted)
+    assert f"\nfleet build\nfleet push --to {to}\n" in script
+    assert f"docker login {wanted.registry}" in script
+    assert ci.BUNDLE not in script
+
+
+@pytest.mark.parametrize("to", ["", "ghcr.io/me/robots", "registry.local:5000/robots"])
+def test_the_workflow_is_safe(tmp_path: Path, to: str) -> None:
     """zizmor finds nothing: actions are pinned, and permissions are the least."""
     path = tmp_path / ".github/workflows/robots.yml"
     path.parent.mkdir(parents=True)
-    path.write_text(ci.github(replace(WANTED, variables=["A"], platforms=["linux/arm/v7"]), branch="main"))
+    wanted = replace(WANTED, variables=["A"], platforms=["linux/arm/v7"], to=to)
+    path.write_text(ci.github(wanted, branch="main"))
     zizmor = (str(FAB.with_name("zizmor")), "--offline", "--quiet", str(tmp_path))
     done = subprocess.run(zizmor, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
