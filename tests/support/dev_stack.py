@@ -95,9 +95,10 @@ class DevStack:
         return subprocess.run(listing, check=True, capture_output=True, text=True).stdout.split()
 
     def read(self, path: str) -> str | None:
-        """The text of a file in the container, None if it is not there."""
+        """The text of a file in the container, None if one of both is not there."""
+        container = next(iter(self.ids), "none")
         copied = subprocess.run(
-            ("docker", "cp", f"{self.ids[0]}:{path}", "-"), capture_output=True, check=False
+            ("docker", "cp", f"{container}:{path}", "-"), capture_output=True, check=False
         )
         if copied.returncode:
             return None
@@ -108,9 +109,14 @@ class DevStack:
             return content.read().decode() if content else None
 
     def logs(self) -> str:
+        """What the container says, or what Docker says of one that is not there."""
         return subprocess.run(
-            ("docker", "logs", self.ids[0]), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True
-        ).stdout  # fmt: skip
+            ("docker", "logs", next(iter(self.ids), "none")),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        ).stdout
 
     def clear(self) -> None:
         if self.ids:
