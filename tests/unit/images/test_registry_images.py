@@ -18,6 +18,7 @@ NAME = f"registry.local:5000/robots/talker:latest@{D}"
         ("/home/me@work/bundle.tar", False),
         ("ghcr.io/me/talker", False),
         (NAME, True),
+        (f"{NAME},ghcr.io/me/nav", True),
         ("talker@sha256:12", True),
     ],
 )
