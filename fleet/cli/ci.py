@@ -34,7 +34,7 @@ def github(
     dry: bool = False,
     inventory: str = "",
 ) -> None:
-    """Write a GitHub workflow that builds the images and keeps them.
+    """Write a GitHub workflow that builds the images.
 
     Each push to the branch is built on GitHub's computers, by the commands of `fab ci.shell`, and kept: as a bundle for 7
     days, or with --to in a registry. `fab ship --from` ships either, without building here. Pull requests are built only.
@@ -54,7 +54,7 @@ def github(
 
 @verb({"install": _INSTALL, "to": _TO}, looks=True)
 def shell(install: str = "", to: str = "", hosts: str = "all", inventory: str = "") -> None:
-    """Print a script for any CI that builds the images and keeps them.
+    """Print a script for any CI that builds the images.
 
     `fab ci.shell > build.sh`: it checks the inventory, builds the images, and writes bundle.tar, or with --to pushes them to
     a registry. `fab ship --from` ships either, on any computer that has the inventory.
