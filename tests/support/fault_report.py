@@ -19,10 +19,10 @@ class Fault:
 
 
 def table(faults: Sequence[Fault]) -> str:
-    """A Markdown table; a terminal shows it as well."""
+    """A Markdown table, in the order of the alphabet: tests end in any. A terminal shows it as well."""
     rows = [
         ("fault", "times", "how each of them ended"),
-        *((one.fault, str(one.times), one.end) for one in faults),
+        *sorted((one.fault, str(one.times), one.end) for one in faults),
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     lines = [
