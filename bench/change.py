@@ -399,10 +399,13 @@ class _Bench:
 
 
 def _events(since: float) -> str:
-    """A script that prints when containers were stopped and started, and the lines of the one that runs, when it does."""
+    """A script that prints when containers were stopped and started, and the lines of the one that runs, when it does.
+
+    The events of this second count too, so it is waited for.
+    """
     return (
         f"for _ in $(seq 200); do docker logs -t $(docker ps -q | head -n 1) 2>&1 | grep -q INFO && break; sleep 0.1; done;"
-        f" docker events --since {since:.3f} --until $(date +%s) --filter type=container"
+        f" docker events --since {since:.3f} --until $(($(date +%s) + 1)) --filter type=container"
         " --format '{{.TimeNano}} {{.Action}} {{.ID}}' | sed 's/:.*//';"
         " echo now $(docker ps -q --no-trunc); docker logs -t $(docker ps -q | head -n 1) 2>&1 | grep INFO | head -n 1"
     )
