@@ -117,7 +117,8 @@ def opened(path: Path) -> Generator[BundleReader]:
     """
     if not path.exists():
         raise UsageError(
-            f"there is no bundle {path}", cure="name the folder of the stick, or the tar archive; an image of a registry has its digest: NAME@sha256:..."
+            f"there is no bundle {path}",
+            cure="name the folder of the stick, or the tar archive; an image of a registry has its digest: NAME@sha256:...",
         )
     with contextlib.ExitStack() as stack:
         with _explained(f"the bundle {path}"):
