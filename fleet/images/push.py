@@ -57,6 +57,7 @@ class Registry:
         self._most = most
         self._parts: dict[str, tuple[Path | None, Any]] = {}
         self._lock = threading.Lock()
+        self._closed = False
         self._server: http.server.ThreadingHTTPServer | None = None
 
     def __enter__(self) -> Self:
@@ -75,6 +76,9 @@ class Registry:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Make no file any more: Docker may still be uploading, and the folder is about to be removed."""
+        with self._lock:
+            self._closed = True
         if self._server:
             self._server.shutdown()
             self._server.server_close()
@@ -104,11 +108,14 @@ class Registry:
         return name
 
     def take(self, name: str, chunks: Iterable[bytes]) -> int:
-        """Take bytes of an upload; return how many. Raises ``OSError`` if the disk or the allowance is full."""
+        """Take bytes of an upload; return how many. Raises ``OSError`` if the disk or the allowance is full, or it is closed."""
         path, digest = self._parts[name]
         size = 0
         with contextlib.ExitStack() as stack:
-            file = stack.enter_context(path.open("ab")) if path else None
+            with self._lock:
+                if self._closed:
+                    raise OSError("the registry is closed")
+                file = stack.enter_context(path.open("ab")) if path else None
             for chunk in chunks:
                 digest.update(chunk)
                 size += len(chunk)
@@ -127,8 +134,11 @@ class Registry:
             if path:
                 path.unlink(missing_ok=True)
             return False
-        kept = path.rename(path.with_name(digest.hexdigest())) if path and path.exists() else path
-        self.arrived[wanted] = kept
+        with self._lock:
+            if self._closed:
+                return False
+            kept = path.rename(path.with_name(digest.hexdigest())) if path and path.exists() else path
+            self.arrived[wanted] = kept
         return True
 
 

@@ -190,3 +190,15 @@ def test_a_push_that_is_not_worth_it_is_stopped(registry: Registry, goes_on: boo
     one = Push(engine(then=never), registry=registry, tag="1")
     assert not one.wait(while_=lambda: goes_on, seconds=seconds)
     assert one.over.wait(5)
+
+
+def test_no_file_is_made_when_it_is_over(tmp_path: Path) -> None:
+    """Docker may still be uploading while the folder is removed."""
+    with Registry(lacks={digest(LAYER)}, folder=tmp_path, most=1000) as one:
+        begun, done = one.begin(), one.begin()
+        one.take(done, [LAYER])
+    with pytest.raises(OSError, match="closed"):
+        one.take(begun, [LAYER])
+    assert not one.end(done, digest(LAYER))
+    assert [path.name for path in tmp_path.iterdir()] == [done]
+    assert one.files == {}
