@@ -115,7 +115,9 @@ def opened(path: Path) -> Generator[BundleReader]:
         DesktopError: the stick fails, or there is no room to unpack the archive.
 
     """
-    if not path.exists():
+    with _explained(f"the bundle {path}"):
+        there = path.exists()
+    if not there:
         raise UsageError(
             f"there is no bundle {path}",
             cure="name the folder of the stick, or the tar archive; an image of a registry has its digest: NAME@sha256:...",

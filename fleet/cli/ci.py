@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet.cli.console import Screen
+from fleet.cli.registry_access import address
 from fleet.cli.selection import select
 from fleet.cli.verb import verb
-from fleet.config import validation
 from fleet.errors import DesktopError, UsageError
 from fleet.starter import ci
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 WORKFLOW = Path(".github/workflows/robots.yml")
 
 _INSTALL = "what pip installs fleet from in CI: a git address with a commit, or a wheel in your repository"
-
-
 _TO = "push the images to this registry, such as ghcr.io/OWNER/robots, in place of a bundle"
 
 
@@ -73,8 +70,6 @@ def _repository(inventory: Path) -> Path:
 def _wanted(
     inventory: Inventory, robots: tuple[Robot, ...], *, hosts: str, install: str, to: str, root: Path
 ) -> ci.Wanted:
-    if to and not re.search(validation.REGISTRY, to):
-        raise UsageError(f"--to {validation.not_like(validation.REGISTRY, to)}, not {to}")
     folder = inventory.path.resolve().parent
     if not install and not (folder / "fleet" / "onboard").is_dir():
         raise UsageError(
@@ -88,7 +83,7 @@ def _wanted(
         install=install,
         variables=tuple(names),
         folder="" if folder == root else folder.relative_to(root).as_posix(),
-        to=to,
+        to=address(to) if to else "",
     )
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from fleet.cli.console import Screen
-from fleet.cli.registry_access import certificates, login_of
+from fleet.cli.registry_access import address, certificates, login_of
 from fleet.cli.selection import select
 from fleet.cli.stacks import Stacks, warnings_of
 from fleet.cli.verb import verb
-from fleet.config import validation
 from fleet.config.image_reference import one_image, tag
 from fleet.errors import UsageError
 from fleet.images.store import Store
@@ -102,10 +100,8 @@ def _registry(robots: Sequence[Robot], to: str) -> Registry:
     elif not to:
         which = f"the robots have several: {', '.join(known)}" if known else "the robots have none"
         raise UsageError(f"which registry? {which}", cure="fab push --to registry.local:5000/robots")
-    elif not re.search(validation.REGISTRY, to):
-        raise UsageError(f"--to {validation.not_like(validation.REGISTRY, to)}, not {to}")
     else:
-        host = to.partition("/")[0]
+        host = address(to).partition("/")[0]
         same = next((one for one in known.values() if one.host == host), Registry(address=to))
         registry = same.model_copy(update={"address": to})
     certificates(registry)  # so that a missing file is told before anything is packed

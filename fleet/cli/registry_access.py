@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
+from fleet.config import validation
 from fleet.errors import Refused, UsageError
 from fleet.images.registry_client import Login
 from fleet.images.store import docker_login
@@ -31,6 +33,13 @@ def login_of(registry: Registry) -> Login | None:
         return Login(registry.user or "token", password)
     found = docker_login(registry.host)
     return Login(*found) if found else None
+
+
+def address(to: str) -> str:
+    """The registry of ``--to``, as it was given. Raises `UsageError` if it cannot be one."""
+    if not re.search(validation.REGISTRY, to):
+        raise UsageError(f"--to {validation.not_like(validation.REGISTRY, to)}, not {to}")
+    return to
 
 
 def certificates(registry: Registry | None) -> dict[str, bytes]:

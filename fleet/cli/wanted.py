@@ -53,8 +53,7 @@ def opened(
         UsageError, DesktopError: as the bundle, Compose and Docker say.
 
     """
-    is_bundle = Path(out_of).expanduser().exists() or not registry_images.meant(out_of)
-    from_registry = () if is_bundle else registry_images.parse(out_of)
+    from_registry = registry_images.parse(out_of) if registry_images.meant(out_of) else ()
     with contextlib.ExitStack() as stack:
         if out_of and not from_registry:
             reader = stack.enter_context(bundles.opened(Path(out_of).expanduser()))

@@ -22,7 +22,7 @@ _CURE = "copy it from what `fab push` printed: registry.local:5000/robots/talker
 
 def meant(text: str) -> bool:
     """Whether ``--from`` names images of a registry, and not a bundle."""
-    return any("@" in name.rpartition("/")[2] for name in text.split(","))
+    return "@sha256:" in text
 
 
 def parse(text: str) -> tuple[str, ...]:

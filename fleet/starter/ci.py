@@ -135,6 +135,7 @@ def github(wanted: Wanted, *, branch: str) -> str:
         "@PUBLISH@": "" if wanted.to else _KEEP.replace("@BUNDLE@", json.dumps(folder + BUNDLE)),
     }.items():
         template = template.replace(place, text)
+    template = template.rstrip("\n") + "\n"  # each step ends its own line
     return f"{_MARK}{_digest(template)}\n{template}"
 
 

@@ -71,6 +71,11 @@ def test_a_bundle_is_checked_before_it_is_used(tmp_path: Path) -> None:
     refused(tmp_path, "not a bundle of fleet, or not a whole one")
     refused(tmp_path / "READ-ME.txt", "neither a folder nor a tar archive")
     refused(tmp_path / "nowhere", "there is no bundle")
+    with (
+        pytest.raises(DesktopError, match="cannot be read: File name too long"),
+        read.opened(tmp_path / ("x" * 300)),
+    ):
+        pass
 
 
 def test_a_file_for_people_that_was_opened_in_an_editor_costs_nothing(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet.cli.registry_access import certificates, login_of
+from fleet.cli.registry_access import address, certificates, login_of
 from fleet.config.registry import Registry
 from fleet.errors import DesktopError, Refused, UsageError
 from fleet.images.registry_client import Login
@@ -59,3 +59,11 @@ def test_certificates_have_dockers_names(tmp_path: Path) -> None:
     (tmp_path / "key").unlink()
     with pytest.raises(UsageError, match="key cannot be read"):
         certificates(one)
+
+
+def test_the_registry_of_a_command_line() -> None:
+    """A host, and a path if there is one: no URL."""
+    assert address("registry.local:5000/robots") == "registry.local:5000/robots"
+    for wrong in ("robots", "https://registry.local"):
+        with pytest.raises(UsageError, match=f"--to must be a host.*not {wrong}"):
+            address(wrong)

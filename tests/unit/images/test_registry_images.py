@@ -17,6 +17,7 @@ NAME = f"registry.local:5000/robots/talker:latest@{D}"
         ("/media/me/STICK", False),
         ("/home/me@work/bundle.tar", False),
         ("ghcr.io/me/talker", False),
+        ("me@work.tar", False),
         (NAME, True),
         (f"{NAME},ghcr.io/me/nav", True),
         ("talker@sha256:12", True),
